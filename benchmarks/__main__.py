@@ -1,6 +1,6 @@
-"""``python -m benchmarks [name ...]``: run the races, print a table, keep each row in ``build/bench.json`` as it comes.
+"""``python -m benchmarks [name ...]``: run the races, print a table, keep each row in ``build/bench.json`` at once.
 
-A row takes the place of the one of its name: a run that is interrupted, or of a few names, loses none of the others.
+A row replaces the one of its name: a run that is interrupted, or of a few names, loses none of the others.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from benchmarks.harness import Row
 OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
 BY_NAME = ("choice", "dwell_million", "moving_matrix", "size", "sweeps")
-"""Those that are run only where they are asked for: they take the longest."""
+"""Benchmarks that run only by name: they take the longest."""
 Keep = Callable[[Row], None]
 
 
 def discover(folders: Iterable[str], wanted: Sequence[str] = ()) -> list[str]:
-    """Names of the benchmark modules in these folders, those wanted if any are; without the ``bench_``."""
+    """Return the names of the benchmark modules in these folders, or the wanted ones; without ``bench_``."""
     found = sorted(
         module.name.removeprefix(PREFIX) for module in pkgutil.iter_modules(folders) if module.name.startswith(PREFIX)
     )
@@ -43,9 +43,9 @@ def discover(folders: Iterable[str], wanted: Sequence[str] = ()) -> list[str]:
 def run(
     names: Iterable[str], console: Console, package: str = benchmarks.__name__, keep: Keep = lambda _: None
 ) -> tuple[list[Row], bool]:
-    """All rows of these modules, and whether every module came to its end: one that fails does not stop the rest.
+    """Return all rows of these modules, and True if every module completed: a failure does not stop the rest.
 
-    ``keep`` is given each as it comes.
+    ``keep`` is called with each row at once.
     """
     rows: list[Row] = []
     complete = True
@@ -56,7 +56,7 @@ def run(
             for row in module.rows(lambda message: console.print(f"[dim]{message}[/]")):
                 rows.append(row)
                 keep(row)
-        except Exception:  # noqa: BLE001  whatever it was, it is shown, and the exit code tells
+        except Exception:  # noqa: BLE001  every error is shown, and sets the exit code
             complete = False
             console.print(f"[red]{name} failed[/]")
             console.print(traceback.format_exc(), markup=False, highlight=False)
@@ -65,7 +65,7 @@ def run(
 
 
 def table(rows: Iterable[Row]) -> Table:
-    """The rows for people: the ratio is how many times less we cost than the best peer."""
+    """Print the rows: the ratio is the cost of the best peer over ours."""
     result = Table("benchmark", "ours", "peers", "ratio", show_lines=True)
     for row in rows:
         peers = "\n".join(f"{name} {_cost(row, name, value)}" for name, value in row.peers.items())
@@ -81,10 +81,10 @@ def _cost(row: Row, name: str, value: float | None) -> str:
 
 
 class Kept:
-    """``build/bench.json``: all rows by name, each with the day and the load of the machine when it was measured."""
+    """``build/bench.json``: all rows by name, each with the day and the load of the machine during its measurement."""
 
     def __init__(self, path: Path) -> None:
-        """Those of earlier runs."""
+        """Rows of earlier runs."""
         self._path = path
         try:
             found = {row["name"]: row for row in json.loads(path.read_text())}
@@ -93,7 +93,7 @@ class Kept:
         self._rows: dict[str, dict[str, Any]] = found
 
     def add(self, row: Row) -> None:
-        """In the place of the one of its name, and into the file at once."""
+        """Replace the row of its name, and write the file at once."""
         when = {"date": datetime.now(UTC).date().isoformat(), "load": round(os.getloadavg()[0], 1)}
         kept = {**self._rows, row.name: {**row.as_json(), **when}}
         write(kept.values(), self._path)
@@ -101,7 +101,7 @@ class Kept:
 
 
 def write(rows: Iterable[Mapping[str, Any]], path: Path) -> None:
-    """Write the rows as JSON, whole or not at all."""
+    """Write the rows as JSON, all or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".tmp")
     draft.write_text(json.dumps(list(rows), indent=2, allow_nan=False) + "\n")
@@ -109,7 +109,7 @@ def write(rows: Iterable[Mapping[str, Any]], path: Path) -> None:
 
 
 def main(wanted: Sequence[str]) -> int:
-    """Run, show, keep; 1 where a benchmark failed."""
+    """Run, show, keep; return 1 after a failure."""
     rows, complete = run(discover(benchmarks.__path__, wanted), Console(stderr=True), keep=Kept(OUTPUT).add)
     Console().print(table(rows))
     return 0 if complete else 1

@@ -1,6 +1,6 @@
-"""Effect and dwell of plans that `init` begins: the removal model's own choice beside a matrix, and beside none.
+"""Effect and dwell of plans that `init` writes: the removal model's own choice beside a matrix, and beside none.
 
-The default solver of either. By name only: some minutes a case.
+Each with its default solver. By name only: some minutes a case.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from polishd.plugins import removal_models
 RMS_NM = 100.0
 CHOSEN = removal_models.WORTH_S, removal_models.WIDE
 MATRIX, NONE = (float("inf"), 0), (-1.0, 0)
-"""The same with which it always takes a matrix, and with which it always tries to do without."""
+"""The effect with a forced matrix, and with a forced attempt without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is answered to `init`; everything else is its default, on a UR10e."""
+    """Answers to `init`; all else is its default, on a UR10e."""
 
     diameter_mm: float
     tool_radius_mm: float
@@ -83,7 +83,7 @@ def rows(progress: Progress) -> Iterator[Row]:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What a solve step is given."""
+    """Input of a solve step."""
 
     recipe: Recipe
     program: Program
@@ -91,7 +91,7 @@ class Part:
 
 
 def prepared(case: Case, folder: Path) -> Part:
-    """The cell that `init` writes, its program, and a map of it."""
+    """Return the cell that `init` writes, its program, and a map of it."""
     answers = answers_of(case.answers, folder / "answers.toml")
     write_cell(new_cell(answers, folder / "cell"), force=False)
     config, hooks = load_cell(folder / "cell" / "cell.toml")
@@ -107,6 +107,6 @@ def prepared(case: Case, folder: Path) -> Part:
 
 
 def solved(part: Part, choice: tuple[float, int]) -> None:
-    """The whole solve step. It runs in a fork, so what is set here is gone with it."""
+    """Run the whole solve step. It runs in a fork: its settings end with it."""
     removal_models.WORTH_S, removal_models.WIDE = choice
     dwell_step.solve(part.recipe, part.program, part.measured)

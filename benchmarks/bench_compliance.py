@@ -19,7 +19,7 @@ ROBOT, PROCESS = HybridRobot(), ToolProcess()
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """CPU and memory; the inverses are what any way through 6 x 6 stiffness matrices pays at the least."""
+    """CPU and memory; the inverses are a lower bound for any method with 6 x 6 stiffness matrices."""
     progress("compliance: preparing poses")
     tip, axis = poses()
     normal = np.tile([0.0, 0.0, -1.0], (POSES, 1))

@@ -90,7 +90,7 @@ def lbfgsb(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
 
 
 def require(f: QuadraticObjective, t: FloatArray, problem: DwellProblem, goal: Goal) -> None:
-    """A solver that stopped short, or left its bounds, has not run the race."""
+    """Fail the race for a solver that stopped early or left its bounds."""
     if f.value(t) > goal.objective * (1 + 1e-9) or (t < problem.lower_s).any() or (t > problem.upper_s).any():
         raise RuntimeError(f"reached {f.value(t):g} of {goal.objective:g}")
 

@@ -1,4 +1,4 @@
-"""Dwell solves of full-size optics to a relative objective gap of 1e-6: ours, and everybody else's."""
+"""Dwell solves of full-size optics to a relative objective gap of 1e-6: ours, and other solvers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ GAP = 1e-6
 SMALL = Case(50, 5, 1e-4)
 LARGE = (Case(450, 1.7, 1e-4), Case(450, 10, 3e-4), Case(450, 20, 3e-4))
 QUICK_CAP_S = 30.0
-"""For a peer that has never come to its end within it."""
+"""Limit for a peer that has never finished within it."""
 CAP_S = 240.0
 MOST_MB = 400.0
 MOST_QP_ENTRIES = 3_000_000
-"""Of R, above which no QP backend is asked: the factor alone would be tens of gigabytes."""
+"""Elements of R above which no QP backend runs: the factor alone would be tens of gigabytes."""
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Cold starts with one spot times gamma; then what the exact spots, a warm start and memory cost."""
+    """Cold starts with one spot times gamma; then the cost of the exact spots, a warm start and memory."""
     for case in (SMALL, *LARGE):
         progress(f"dwell, large: preparing {case.name}")
         yield cold(case, *prepared(case), progress)
@@ -40,7 +40,7 @@ def rows(progress: Progress) -> Iterator[Row]:
 
 @cache
 def prepared(case: Case, rank: int = 0, change: float = 0.0) -> tuple[DwellProblem, Goal]:
-    """The problem, and the objective to come to."""
+    """The problem, and the objective to reach."""
     problem = build(case, rank, change)
     return problem, peers.reference(problem, GAP)
 
@@ -50,7 +50,7 @@ def cold(case: Case, problem: DwellProblem, goal: Goal, progress: Progress) -> R
     f = peers.lean(problem)
     others: dict[str, Runner] = {"scipy L-BFGS-B (m = 10)": partial(lbfgsb, problem, f, goal)}
     slow: dict[str, Runner] = {}
-    if case in (SMALL, LARGE[0]):  # the others of as many points tell nothing new
+    if case in (SMALL, LARGE[0]):  # the others with as many points add nothing new
         slow = {
             "projected Newton-CG": partial(peers.newton, problem, f, goal),
             "scipy lsq_linear": partial(peers.lsq_linear, problem, f, goal),
@@ -78,7 +78,7 @@ def cold(case: Case, problem: DwellProblem, goal: Goal, progress: Progress) -> R
 
 
 def finishes(run: Runner) -> bool:
-    """Whether a peer gets there at all within `QUICK_CAP_S`; one that dies of its memory does not."""
+    """True if a peer finishes within `QUICK_CAP_S`; a peer that runs out of memory does not."""
     try:
         return cpu_seconds(run, QUICK_CAP_S) is not None
     except RuntimeError:
@@ -86,14 +86,14 @@ def finishes(run: Runner) -> bool:
 
 
 def entries(problem: DwellProblem) -> float:
-    """About how many the effect's matrix has."""
+    """Approximate number of nonzeros of the effect's matrix."""
     effect = problem.effect
     assert isinstance(effect, ConvolutionEffect)
     return effect.n * (2 * effect.corner[0] + 1) ** 2 * 0.785
 
 
 def transforms(case: Case, progress: Progress) -> Row:
-    """Ours beside nothing but the transforms of its iterations, one after the other: the ratio is to be 1/1.3."""
+    """Ours beside only the transforms of its iterations, one after the other: the ratio shall be 1/1.3."""
     progress(f"transforms alone, {case.name}")
     problem, goal = prepared(case)
     value = peers.lean(problem).value
@@ -105,7 +105,7 @@ def transforms(case: Case, progress: Progress) -> Row:
 
 
 def dynamic(case: Case, progress: Progress) -> Row:
-    """Each point's own spot at rank 3 beside one spot times gamma: the ratio is to be at least 1/2.2."""
+    """Each point's own spot at rank 3 beside one spot times gamma: the ratio shall be at least 1/2.2."""
     progress(f"dynamic spot, {case.name}")
     exact, static = (
         partial(peers.ours, problem, peers.lean(problem).value, goal)
@@ -115,7 +115,7 @@ def dynamic(case: Case, progress: Progress) -> Row:
 
 
 def warm(case: Case, progress: Progress) -> Row:
-    """Convolutions after gamma moved by up to 1 %, from the last solution's state: the ratio is to be at least 5."""
+    """Convolutions after gamma moved by up to 1 %, from the last solution's state: the ratio shall be at least 5."""
     progress(f"warm start, {case.name}")
     (before, _), (after, goal) = prepared(case), prepared(case, change=0.01)
     value = peers.lean(after).value
@@ -125,7 +125,7 @@ def warm(case: Case, progress: Progress) -> Row:
 
 
 def memory(case: Case) -> Row:
-    """Most that a solve to a KKT residual of 1e-6 holds beyond its problem."""
+    """Most memory that a solve to a KKT residual of 1e-6 takes beyond its problem."""
     problem, goal = prepared(case)
     f = peers.lean(problem)
     of_ours = peak_mb(lambda: douglas_rachford.solve(problem, 600.0))

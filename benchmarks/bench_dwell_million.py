@@ -1,4 +1,4 @@
-"""The same race as of large parts at a million points: only by name (``make bench ARGS=dwell_million``)."""
+"""The race of large parts at a million points: only by name (``make bench ARGS=dwell_million``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The effect of a raster of moving blocks: without a matrix, and the matrix; to make it, and a product with it."""
+"""The effect of a raster of moving blocks, without a matrix and with one: making it, and a product with it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import raster
 
 MOST_ENTRIES = 100_000_000
-"""Of a matrix that is made here: 1.2 GB, and twice that while it is made."""
+"""Most nonzeros of a matrix that is made here: 1.2 GB, and twice that while it is made."""
 PRODUCTS = 10
 
 
@@ -49,7 +49,7 @@ class Case:
         return hertz_spot(self.process, self.pitch_mm)
 
 
-# the demo's spot is a few cells wide: an effect without a matrix is no better there, and is not near 1e-3
+# the demo's spot is a few cells wide: an effect without a matrix has no advantage there, and is not near 1e-3
 CASES = (
     Case(100.0, 1.0, 1.0, 1.7, 2e-2),
     Case(300.0, 1.0, 1.0, 1.7, 2e-2),
@@ -65,7 +65,7 @@ def rows(progress: Progress) -> Iterator[Row]:
 
 
 def compared(case: Case, progress: Progress) -> Iterator[Row]:
-    """The rows of a case; where the matrix would be too large it stands there as not finished."""
+    """Rows of a case; a matrix that would be too large is listed as not finished."""
     program = path(raster(circle(case.diameter_mm), case.step_mm, case.step_mm))
     side, spot = int((case.diameter_mm + 2 * case.radius_mm) / case.pitch_mm) + 1, case.spot
     grid = Grid(side, side, case.pitch_mm)
@@ -91,6 +91,6 @@ def compared(case: Case, progress: Progress) -> Iterator[Row]:
 
 
 def products(effect: Effect, time_s: FloatArray) -> None:
-    """What the solver's conjugate gradients ask for."""
+    """The products of the solver's conjugate gradients."""
     for _ in range(PRODUCTS):
         effect.adjoint(effect.removal_nm(time_s))

@@ -1,8 +1,8 @@
-"""Seconds from a finished file to a map in the daemon's hands: the watched folder with its default options.
+"""Seconds from a finished file to a map in the daemon: the watched folder with its default options.
 
-Wall time, over real sleeps: what counts is the waiting. Several folders are watched at once, each with an instrument
-that writes a map of 1024 x 1024 in chunks, at moments that have nothing to do with the polls. Nothing else is to be
-compared with, so there are no peers; it fails where the worst is above 3 s.
+Wall time, over real sleeps: the waiting is measured. Several folders are watched at once, each with an instrument that
+writes a map of 1024 x 1024 in chunks, at moments independent of the polls. There are no peers; the benchmark fails
+where the longest time is above 3 s.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOST_S = 3.0
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Least, median, 95 % and most of 108 maps."""
+    """Least, median, 95 % and longest of 108 maps."""
     with tempfile.TemporaryDirectory() as scratch:
         taken = sorted(asyncio.run(_all(Path(scratch), progress)))
     percentile = statistics.quantiles(taken, n=20)[-1]
@@ -70,7 +70,7 @@ async def _one(base: Path, number: int, progress: Progress) -> list[float]:
 
 
 def _write(path: Path, data: bytes) -> float:
-    """Write in chunks; when the last byte was written, monotonic."""
+    """Write in chunks; return the monotonic time of the last byte."""
     step = -(-len(data) // CHUNKS)
     with path.open("wb") as file:
         for start in range(0, len(data), step):

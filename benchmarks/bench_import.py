@@ -1,8 +1,8 @@
-"""How long what is imported and asked for at a shell takes, in fresh processes, beside Python with nothing and numpy.
+"""Start time of imports and shell commands in fresh processes, beside bare Python and numpy.
 
 Least CPU time of the whole process, which on a free machine is the wall time, in turns with the peers, so that a busy
 spell of the machine hits all alike; the spread of the wall time stands in the name. The modules must stay below half a
-second. ``python -X importtime -c 'import polishd.api'`` says where it goes.
+second. ``python -X importtime -c 'import polishd.api'`` shows the parts.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def rows(progress: Progress) -> Iterator[Row]:
 
 
 def measured(commands: Mapping[str, Sequence[str]], progress: Progress) -> dict[str, list[Cost]]:
-    """What ``TURNS`` processes of each command cost; a first turn, which fills caches, does not count."""
+    """Return the costs of ``TURNS`` processes of each command; a first turn, which fills caches, does not count."""
     taken: dict[str, list[Cost]] = {name: [] for name in commands}
     for turn in range(TURNS + 1):
         for name, words in commands.items():
@@ -81,6 +81,6 @@ def _children_s() -> float:
 
 
 def spread(taken_s: Sequence[float]) -> str:
-    """The distribution of wall times, in words."""
+    """Describe the distribution of wall times."""
     low, _, high = statistics.quantiles(taken_s, n=4)
     return f"{len(taken_s)} runs, wall: {min(taken_s):.3f}, quartiles {low:.3f} and {high:.3f}, {max(taken_s):.3f} s"

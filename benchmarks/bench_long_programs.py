@@ -1,8 +1,8 @@
 """Programs of 100,000 to 2 million blocks from their text to the report: peak memory of each stage.
 
-Each size is a process of its own; the peak is what the kernel says of it (VmHWM, which is begun anew for each stage),
-beside what it held when the stage began. Disk: bytes of the journal and of executed.csv for a block, beside what
-``pipeline.disk_space`` counts with.
+Each size runs in a separate process. The peak is the kernel's VmHWM, which is reset for each stage, beside the memory
+in use when the stage began. Disk: bytes of the journal and of executed.csv for a block, beside the estimate of
+``pipeline.disk_space``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LANGUAGE_MB = 200.0
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Each stage at each size, what they write, and two languages."""
+    """Each stage at each size, their files, and two languages."""
     for blocks in BLOCKS:
         progress(f"long_programs: {blocks} blocks")
         found = _child("nc", blocks)
@@ -63,11 +63,11 @@ def _child(what: str, count: int) -> dict[str, float]:
 
 
 def measured(stages: Iterator[Stage]) -> dict[str, float]:
-    """Peak of each stage beside what was held before, bytes."""
+    """Peak of each stage beside the memory in use before it, bytes."""
     found = dict[str, float]()
     for name, run in stages:
         gc.collect()
-        ctypes.CDLL(None).malloc_trim(0)  # what was given back is given back to the kernel: it does not hide the next
+        ctypes.CDLL(None).malloc_trim(0)  # freed memory goes back to the kernel: it does not hide the next stage's
         Path("/proc/self/clear_refs").write_text("5")
         before = _status("VmRSS")
         run()
@@ -82,7 +82,7 @@ def _status(key: str) -> int:
 
 
 def main(what: str, count: int) -> None:
-    """One process' share, as JSON."""
+    """Return the share of one process, as JSON."""
     if what != "nc":
         print(json.dumps(measured(language_stages(what, language_program(what, count)))))
         return

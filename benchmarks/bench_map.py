@@ -1,9 +1,9 @@
-"""A 1024 x 1024 masked map from its file to its figures, beside prysm doing what of it prysm can.
+"""A 1024 x 1024 masked map from its file to its figures, beside prysm for the steps that prysm has.
 
 Import (.dat), registration by the outline, levelling, holes filled, 37 Zernike terms, PSD, three bands, slope.
 prysm neither registers nor fills, and has no slope; its bands are two filters of a map whose missing samples are 0 (its
 band RMS needs `numpy.trapz`, which NumPy 2 has not). Its levelling is of tilt alone. CPU seconds, in turns; the last
-rows are wall time of ours on the cores that are there, and memory. Aims: 1 s and 600 MB.
+rows are wall time of ours on the available cores, and memory. Aims: 1 s and 600 MB.
 """
 
 from __future__ import annotations
@@ -89,13 +89,13 @@ def measured() -> SurfaceMap:
 
 
 def written(surface: SurfaceMap) -> bytes:
-    """The map's .dat."""
+    """Return the map's .dat."""
     assert METROPRO.write is not None
     return METROPRO.write(surface)
 
 
 def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], object] | None]]:
-    """Ours and prysm's of each step, given what the steps before made."""
+    """Our and prysm's runner of each step, with the results of the steps before."""
     surface = METROPRO.read(path)
     height, mask = surface.height_nm, surface.valid
     level = remove_terms(height, mask, "tilt")
@@ -113,7 +113,7 @@ def steps(path: Path) -> dict[str, tuple[Callable[[], object], Callable[[], obje
 
 
 def figures(height_nm: FloatArray, mask: np.ndarray) -> object:
-    """Each figure that prysm has, and slope, one after the other."""
+    """Compute each figure that prysm has, and slope, one after the other."""
     level = remove_terms(height_nm, mask, "tilt")
     bands = split_bands(level, mask, PITCH_MM, EDGES_MM)
     terms = zernike.fit(level, mask, TERMS)
@@ -121,7 +121,7 @@ def figures(height_nm: FloatArray, mask: np.ndarray) -> object:
 
 
 def figures_prysm(surface: Interferogram) -> object:
-    """What prysm has of it."""
+    """Compute prysm's share of it."""
     level = surface.copy()
     level.remove_piston()
     level.remove_tiptilt()
@@ -141,7 +141,7 @@ def whole(path: Path) -> object:
 
 
 def whole_prysm(path: Path) -> object:
-    """What prysm has of it."""
+    """Compute prysm's share of it."""
     surface = Interferogram.from_zygo_dat(path)
     surface.remove_piston()
     surface.remove_tiptilt()
@@ -149,12 +149,12 @@ def whole_prysm(path: Path) -> object:
 
 
 def register(height_nm: FloatArray) -> object:
-    """Where the part is, by its rim."""
+    """Return the position of the part, by its rim."""
     return registration.fit_circle(height_nm, PITCH_MM, 2 * RADIUS_MM, 2.0)
 
 
 def filled(height_nm: FloatArray, mask: np.ndarray) -> FloatArray:
-    """The map with its holes filled; beyond the rim there is nothing to fill."""
+    """Return the map with its holes filled; beyond the rim there are none."""
     from scipy import ndimage
 
     part = ndimage.binary_fill_holes(mask)
@@ -179,7 +179,7 @@ def bands_prysm(surface: Interferogram) -> object:
 
 
 def psd_prysm(surface: Interferogram) -> object:
-    """prysm's PSD, which takes no missing samples, averaged over directions."""
+    """Compute prysm's PSD, which takes no missing samples, averaged over directions."""
     copy = surface.copy()
     copy.fill(0)
     return copy.psd().slices().azavg
@@ -196,14 +196,14 @@ def wall_s(run: Callable[[], object]) -> float:
 
 
 def resident_mb(run: Callable[[], object]) -> float:
-    """By how much the process's largest resident size grew, MB."""
+    """Return the growth of the process's largest resident size, MB."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     run()
     return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e3
 
 
 def in_a_fork(run: Callable[[], float]) -> float:
-    """A figure of a run in a process of its own, so that none finds the other's memory."""
+    """Return a figure of a run in a separate process, so that no run uses another's memory."""
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_answered, args=(run, sender))

@@ -1,6 +1,6 @@
 """A dwell for a tool that polishes while it moves, without a matrix, to an objective within GAP of the least.
 
-Beside L-BFGS-B by the same products: both are given the effect. Beside a matrix: bench_moving_matrix.
+Beside L-BFGS-B with the same products: both get the effect. Beside a matrix: bench_moving_matrix.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def reached(best: DwellSolution) -> Goal:
 
 
 class Part:
-    """A disc, a raster on it, and what of it the race needs to know before."""
+    """A disc, a raster on it, and the data that the race needs before it."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -65,7 +65,7 @@ class Part:
         return spread_effect(self.grid, spot, self.program, self.gamma, one, tolerance=self.case.tolerance)
 
     def of(self, effect: Effect) -> DwellProblem:
-        """The same figure for any of its effects, and time enough that bounds bind at some points only."""
+        """Return the same figure for any of its effects, long enough that few bounds are active."""
         solve, clear = (self.grid.radius_mm() <= self.case.diameter_mm / 2 - edge for edge in (0.0, 3.0))
         height, lower = surface(self.grid, solve, 1), self.program.length_mm / FEED_MM_S
         lower *= LEAST_NM / float(np.median(effect.removal_nm(lower)[solve]))

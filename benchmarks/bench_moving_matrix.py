@@ -1,4 +1,4 @@
-"""From the path to the dwell of a moving tool, without a matrix and with one: the making of either effect is in it."""
+"""From the path to the dwell of a moving tool, without a matrix and with one, including the making of the effect."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from polishd.process.removal.effect import SparseEffect
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """The case whose matrix a computer holds."""
+    """The case whose matrix fits into memory."""
     case = CASES[0]
     progress(f"moving, by a matrix: preparing phi {case.diameter_mm:g} mm, spot {case.radius_mm:g} mm")
     part = Part(case)
-    by_matrix = part.of(matrix(part))  # a problem of its own: the effect without a matrix is a little another one
+    by_matrix = part.of(matrix(part))  # a separate problem: the effect without a matrix differs slightly
     goal = reached(newton_cg.solve(by_matrix, 3600.0, 1e-8))
     peers: dict[str, Runner] = {"a matrix, projected Newton-CG": partial(made_and_newton, part, by_matrix, goal)}
     name = f"effect and dwell of a moving tool, {part.name}"

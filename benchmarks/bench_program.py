@@ -29,7 +29,8 @@ TIMES_LONGER = 10
 LIMIT_MB = 200.0
 RS274 = cast("GcodeDialect", dialect("rs274"))
 
-# Peak resident memory of a child that rewrites argv[1] to argv[2] in bounded memory, MB. VmHWM is of its own memory;
+# Peak resident memory of a child that rewrites argv[1] to argv[2] in bounded memory, MB. VmHWM counts the child alone;
+# ru_maxrss would begin with its parent's value.
 # ru_maxrss would begin with what its parent held.
 MEMORY = """
 import re, sys
@@ -92,7 +93,7 @@ def program(lines: int) -> bytes:
 
 
 class Times:
-    """A dwell for each point, however many there are."""
+    """Return a dwell for each point, for any number of points."""
 
     def take(self, count: int) -> FloatArray:
         return np.full(count, 0.1234)
@@ -102,7 +103,7 @@ class Times:
 
 
 def file_to_file(path: Path) -> None:
-    """Read a file to points, and write one with other times: what ``polishd program rewrite`` does."""
+    """Read a file to points, and write one with other times, as ``polishd program rewrite`` does."""
     with path.open("rb") as file, path.with_suffix(".new").open("wb") as out:
         passed = rewrite.rewrite_stream(RS274, file, "bench", Times(), out)
     if 2 * passed.points < passed.lines - 99:
@@ -110,7 +111,7 @@ def file_to_file(path: Path) -> None:
 
 
 def in_memory(text: bytes) -> None:
-    """Read to columns of points, and write other times: what a cycle of the daemon does."""
+    """Read to columns of points, and write other times, as a cycle of the daemon does."""
     read = formats.read(RS274, text, "bench")
     new = formats.rewrite(RS274, read, read.time_s * 1.1 + 0.001)
     if 2 * read.n < read.lines - 9 or len(new) < len(text):
@@ -118,7 +119,7 @@ def in_memory(text: bytes) -> None:
 
 
 def with_pygcode(text: str) -> None:
-    """The same with pygcode: its machine follows the positions."""
+    """Do the same with pygcode: its machine follows the positions."""
     machine = pygcode.Machine()
     points, out = [], []
     for source in text.splitlines():
@@ -134,7 +135,7 @@ def with_pygcode(text: str) -> None:
 
 
 def with_gcodeparser(text: str) -> None:
-    """The same with gcodeparser, which knows no positions."""
+    """Do the same with gcodeparser, which has no positions."""
     points, out = 0, []
     for line in parse_gcode_lines(text):
         if line.command == ("G", 4):
@@ -176,7 +177,7 @@ def _libraries(path: Path, short: str, progress: Progress) -> Iterator[Row]:
 
 
 def _first(path: Path, progress: Progress) -> Row:
-    """What the compiler costs: once per machine, and then to load what it made."""
+    """Time of the compiler: once for each machine, and then the time to load its result."""
     progress("program: compiling")
     with tempfile.TemporaryDirectory() as cache:
         never, again = (float(_child(FIRST, path, cache=cache)) for _ in range(2))

@@ -1,9 +1,9 @@
-"""Published figures, and what a solve comes to, free of noise: two mirrors, and several tools over one part.
+"""Published figures beside a noise-free solve: two mirrors, and several tools over one part.
 
-The mirrors' maps are at hand. Those of the tools are not to be had: a disc of the same size and RMS takes their place,
-whose amplitude falls with the square of the frequency. All bonnets have the same rate at their middle, as theirs are
-not stated. So a row says what the dwell can leave at best of such a map, and theirs, measured on glass, what it was
-with all that a machine adds.
+The mirrors' maps are available. Those of the tools are not: a disc of the same size and RMS replaces them, whose
+amplitude falls with the square of the frequency. All bonnets have the same rate at their center, as the papers do not
+state it. A row gives the best possible result of the dwell for such a map; the published figure was measured on glass
+and contains all errors of the machine.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from polishd.process.metrology.statistics import slope
 DIAMETER_MM, EDGE_MM, PITCH_MM, RMS_NM = 60.0, 2.0, 1.0, 45.42
 LONGEST_MM, SHORTEST_MM = 60.0, 3.0
 REACHED_MM, REACHED_STEP_MM = 10.0, 1.0
-"""The smallest spot's diameter: a figure of no shorter periods is one that these tools reach. And between points."""
+"""Diameter of the smallest spot: these tools can correct all longer periods. And distance of points."""
 RADII_MM = (12.0, 8.0, 5.0)
 MEASURED_NM = 11.18
 """Three bonnets in one solve, Optics Express 30(10) 16957: from 45.42 nm, in 13.28 min, on glass."""
@@ -49,7 +49,7 @@ def part(shortest_mm: float) -> tuple[Grid, BoolArray, BoolArray, FloatArray]:
 
 
 MIRRORS = Path(__file__).parents[2] / "shared" / "data"
-"""Beside the repository, where its data has been put; docs/dwell.md tells what the two are."""
+"""Folder beside the repository for the data; docs/dwell.md describes the two mirrors."""
 MIRROR = {
     # rows, columns, peak nm/s, sigma mm, least RMS nm and its dwell in min (an exact solution: tests/unit/process)
     "xray": (slice(19, 62), slice(26, 553), 10.0, 1.0, 0.0599, 545.2),
@@ -98,7 +98,7 @@ def rows(progress: Progress) -> Iterator[Row]:
     area_mm2 = disc.sum() * PITCH_MM**2
 
     def over_volume(found: ToolsDwell) -> float:
-        """Dwell over what the largest alone would take for the same volume."""
+        """Dwell over the time of the largest tool alone for the same volume."""
         removed = sum(float(one.removal_nm[disc].mean()) for one in found.passes) * area_mm2
         return float(found.total_s * tif[RADII_MM[0]].sum() / removed)
 
@@ -129,7 +129,7 @@ def rows(progress: Progress) -> Iterator[Row]:
 
 
 def case_of(shortest_mm: float, tif: Mapping[float, FloatArray]) -> tuple[DwellCase, BoolArray]:
-    """The figure with the largest tool, and the disc."""
+    """Return the figure with the largest tool, and the disc."""
     grid, disc, clear, height = part(shortest_mm)
     largest = tif[RADII_MM[0]]
     case = DwellCase(grid.x_mm, grid.y_mm, height, largest, 1.0, mask=disc, clear=clear, piston_nm=None, rho=1e-4)

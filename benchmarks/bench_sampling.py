@@ -1,8 +1,8 @@
-"""Four devices sampled at 100 Hz each, beside a running solve and beside nothing: how late their answers are.
+"""Lateness of the answers of four devices sampled at 100 Hz each, beside a running solve and without one.
 
-Real drivers on one loop, as in the daemon; the devices are simulated, in processes of their own. Robot and spindle tell
-their state by themselves, actuator and force sensor are asked. What is counted is the time from when a sample was due
-until it was in hand, the wait for the loop included. The solve is a process of its own, as in the daemon, and as nice.
+Real drivers on one loop, as in the daemon; the devices are simulated, in separate processes. Robot and spindle send
+their state unprompted, actuator and force sensor are polled. Measured is the time from the due time of a sample to its
+arrival, the wait for the loop included. The solve runs in a separate process, as in the daemon, with its nice value.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from polishd.process.dwell import newton_cg
 
 RATE_HZ = 100.0
 SPELL_S = 10.0
-"""Of each turn; with and without a solve they take turns, so that a busy spell of the machine hits both."""
+"""Of each turn; turns with and without a solve alternate, so that a busy spell of the machine hits both."""
 TURNS = 3
 NICE = 5
 """Of the process that computes: docs/host.md."""
 MEANT_MS = 20.0
-"""p99.9 on an idle machine: told beside the figure, since nobody knows how idle this one is."""
+"""Aim for p99.9 on an idle machine: printed beside the figure, since the load of this machine is not known."""
 SIM = """
 [plant]
 aperture_mm = 40.0
@@ -56,7 +56,7 @@ Ask = Callable[[], Awaitable[object]]
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Milliseconds late, p99 and p99.9: beside a solve, and beside nothing."""
+    """Milliseconds late, p99 and p99.9: beside a solve, and without."""
     with running_cell(SIM) as endpoints:
         late_ms = asyncio.run(measured(endpoints, progress))
     for share in (99.0, 99.9):
@@ -82,7 +82,7 @@ async def measured(endpoints: dict[str, str], progress: Progress) -> dict[bool, 
 
 
 async def devices(endpoints: dict[str, str], opened: AsyncExitStack) -> list[Ask]:
-    """The four, open; what samples each."""
+    """Open the four devices; return a sampler of each."""
     names = ("robot", "actuator", "force_sensor", "spindle")
     robot_at, actuator_at, sensor_at, spindle_at = (parse_address(endpoints[name], Path()) for name in names)
     if not (isinstance(robot_at, Tcp) and isinstance(actuator_at, Tcp) and isinstance(sensor_at, Tcp)):
@@ -112,7 +112,7 @@ async def sampled(ask: Ask, late_ms: list[float]) -> None:
 
 @contextmanager
 def solving() -> Iterator[None]:
-    """A process that solves, one part after the other; it has begun when the block does."""
+    """Run a process that solves, one part after the other; the first solve has begun when the block starts."""
     context = multiprocessing.get_context("fork")
     began = context.Event()
     process: BaseProcess = context.Process(target=_solve, args=(began,))
@@ -130,7 +130,7 @@ def solving() -> Iterator[None]:
 
 @contextmanager
 def idle() -> Iterator[None]:
-    """Nothing beside."""
+    """No load."""
     yield
 
 

@@ -1,6 +1,6 @@
-"""What a dwell for a moving tool costs as the part grows: effect, regularisation, solve and certificate, no matrix.
+"""Cost of a dwell for a moving tool as the part grows: effect, regularization, solve and certificate, no matrix.
 
-Each size is a process of its own; its memory is the most that the kernel says of it (VmHWM). By name only: hours.
+Each size runs in a separate process; its memory is the kernel's peak (VmHWM). By name only: hours.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ DISCS = tuple(Case(diameter_mm, 1.0, 1.0, 10.0, 1e-3) for diameter_mm in (110.0,
 SEGMENT = Case(1400.0, 1.0, 0.8, 30.0, 1e-3)
 """Of an extremely large telescope, over the corners of its hexagon; two million blocks."""
 OFF_AXIS = Optic(69_000.0, -1.0, (), (15_000.0, 6_000.0))
-"""Where that segment lies on its paraboloid."""
+"""Position of that segment on its paraboloid."""
 
 
 def rows(progress: Progress) -> Iterator[Row]:

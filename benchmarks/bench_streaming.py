@@ -1,8 +1,8 @@
 """Blocks a second over the robot link: the real driver and the simulated robot's own process, over loopback.
 
-What is counted is acceptance, in wall time: the robot has checked CRC and sequence, has read each block, found it
-within its limits and its reach, and has said so. Its window holds the whole program, and it stands, so that execution
-limits nothing. Send-and-wait is the same driver with one block a frame and a wait for its ACCEPTED, in turns with ours.
+Measured is acceptance, in wall time: the robot has checked CRC and sequence, has read each block, found it within its
+limits and its reach, and has confirmed it. Its window holds the whole program, and it stands, so that execution limits
+nothing. Send-and-wait is the same driver with one block a frame and a wait for its ACCEPTED, in turns with ours.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """A sweep of jobs in a closed loop on a Dask cluster of this machine beside the pool: wall seconds a job, in turns.
 
 Both have two workers, which are ready before the first turn; the cluster is a scheduler and two workers over TCP on
-loopback. A pool of one worker stands beside them: how it scales. The ratio is the cluster's throughput over the pool's:
-the issue of studies asks for 0.9. Quartiles are of the turns. A second row is of cases that take next to nothing: what
-an executor itself costs.
+loopback. A pool of one worker beside them shows the scaling. The ratio is the cluster's throughput over the pool's:
+the aim is 0.9. Quartiles are of the turns. A second row has cases that take next to no time: the overhead of an
+executor.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The daemon's loop in contact while 50 pages watch and 200 requests a second come: how late it is, and a lost link.
+"""Lateness of the daemon's loop in contact while 50 pages watch and 200 requests a second come, and a lost link.
 
-The peer has the same load made by something else: processes that use as much CPU, and ask the daemon nothing. Wall
-time, of the loop itself: a task of it that sleeps 5 ms notes by how much later it wakes.
+The peer has the same load from other processes: they use as much CPU and send the daemon nothing. Wall time of the
+loop: a task in it that sleeps 5 ms records how late it wakes.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from polishd.web.http.users import Role, UserFile, users_path
 
 WATCHERS, ASKED_PER_S = 50, 200.0
 USERS = 8
-"""Each may ask 50 times a second."""
+"""Each may send 50 requests a second."""
 PATHS = ("/api/state", "/api/health", "/api/jobs", "/api/alarms")
 TURN_S, SETTLE_S = 12.0, 1.0
 CONTACT_S = 180.0
-"""By then the tool is on the part, or something is wrong."""
+"""By then the tool is on the part, or the run has failed."""
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Of turns in which the load is ours and of those in between; and of a link that is lost under each."""
+    """Of turns with our load and of those in between; and of a link that is lost under each."""
     with tempfile.TemporaryDirectory() as scratch:
         late, lost, share = asyncio.run(watched(Path(scratch) / "watched", progress))
         lost_beside = asyncio.run(beside(Path(scratch) / "beside", share, progress))
@@ -55,11 +55,11 @@ def rows(progress: Progress) -> Iterator[Row]:
     for name, part in (("99th percentile", 99.0), ("99.9th percentile", 99.9)):
         ours, other = (float(np.percentile(late[who], part)) for who in ("watched", "beside"))
         yield Row(f"loop in contact, {load}: late, {name}", ours, {peer: other}, "ms")
-    yield Row(f"actuator silent in contact, {load}: until it is told", lost, {peer: lost_beside}, "ms")
+    yield Row(f"actuator silent in contact, {load}: until it is reported", lost, {peer: lost_beside}, "ms")
 
 
 async def watched(folder: Path, progress: Progress) -> tuple[dict[str, FloatArray], float, float]:
-    """Lateness of each wake, ms, by whose the load was; ms until a lost link is told; and the cores that ours used."""
+    """Lateness of each wake, ms, by load; ms until a lost link is reported; and the cores that ours used."""
     found: dict[str, list[FloatArray]] = {"watched": [], "beside": []}
     share = 0.0
     async with running(folder, progress) as cell:
@@ -88,7 +88,7 @@ async def watched(folder: Path, progress: Progress) -> tuple[dict[str, FloatArra
 
 
 async def beside(folder: Path, share: float, progress: Progress) -> float:
-    """ms until a lost link is told, under a load that is not ours."""
+    """ms until a lost link is reported, under a load that is not ours."""
     async with running(folder, progress) as cell:
         with burning(share):
             await asyncio.sleep(SETTLE_S)
@@ -107,12 +107,12 @@ class Running:
     tokens: list[str]
 
     def cpu_s(self) -> float:
-        """Seconds that the page's server and we, who ask it, have used so far."""
+        """Seconds that the page's server and this client have used so far."""
         fields = Path(f"/proc/{self.web.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / 100 + time.process_time()
 
     def late_ms(self, since_s: float) -> FloatArray:
-        """Of each wake of the daemon's loop since then, all of them in contact."""
+        """Lateness of each wake of the daemon's loop since then, all of them in contact."""
         if not pressing(self.files):
             said = self.files.daemon_log.read_text()
             raise RuntimeError(f"the pass ended before its loop was measured: {said[-999:]}")
@@ -120,7 +120,7 @@ class Running:
         return np.array([float(late_ms) for due_s, late_ms in rows if float(due_s) >= since_s])
 
     async def silenced_ms(self) -> float:
-        """From the actuator's last word until the daemon tells that it is lost."""
+        """Time from the actuator's last frame until the daemon reports its loss."""
         heard = client.subscribe(self.files.state_dir, CONTACT_S)
         os.kill(json.loads((self.files.sim_dir / "pids.json").read_text())["actuator"], signal.SIGSTOP)
         begun_s = time.monotonic()
@@ -130,7 +130,7 @@ class Running:
 
 @contextlib.asynccontextmanager
 async def running(folder: Path, progress: Progress) -> AsyncIterator[Running]:
-    """It, for the time of the block."""
+    """Run it for the time of the block."""
     files, note = small(folder / "cell"), folder / "late.txt"
     users = UserFile(users_path(load_config(files.cell)))
     tokens = [users.add(f"user{k}", Role.WATCH) for k in range(USERS)]
@@ -158,7 +158,7 @@ def small(out: Path) -> DemoFiles:
 
 @contextlib.contextmanager
 def process(log: Path, module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A module of Python, for the time of the block."""
+    """Run a Python module for the time of the block."""
     command = [sys.executable, "-m", module, *words]
     with log.open("wb") as out, subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT) as running:
         try:
@@ -168,7 +168,7 @@ def process(log: Path, module: str, *words: str) -> Iterator[subprocess.Popen[by
 
 
 def port_of(log: Path) -> int:
-    """Of the page, by what it says at its start."""
+    """Return the page's URL from its first line."""
     end_s = time.monotonic() + CONTACT_S
     while (found := re.search(r"://[\d.]+:(\d+)/", log.read_text())) is None:
         if time.monotonic() > end_s:
@@ -178,7 +178,7 @@ def port_of(log: Path) -> int:
 
 
 def pressing(files: DemoFiles) -> bool:
-    """By the daemon's own word."""
+    """Return the state that the daemon reports."""
     try:
         return bool(client.request(files.state_dir, "live", 5.0)["pressing"])
     except PolishdError:
@@ -263,7 +263,7 @@ while True:
 
 @contextlib.contextmanager
 def burning(share: float) -> Iterator[None]:
-    """Two processes that use that many cores between them, as a server and its clients would."""
+    """Run two processes that use that many cores between them, as a server and its clients would."""
     command = [sys.executable, "-c", BURN, str(min(share / 2, 1.0))]
     running = [subprocess.Popen(command) for _ in range(2)]
     try:

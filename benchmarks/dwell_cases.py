@@ -19,7 +19,7 @@ GAMMAS = 33
 UNREACHED = 0.02
 RMS_NM, NOISE_NM = 18.0, 0.5
 CORRELATION_MM = 100.0
-"""With it a spot of 20 mm radius leaves 1.4 nm RMS, one of 1.7 mm 1.0 nm: the figure is one that they can correct."""
+"""With it a spot of 20 mm radius leaves 1.4 nm RMS, one of 1.7 mm 1.0 nm: both can correct the figure."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Dwell solvers of others, and our own two, each run until the problem's objective is at most the goal."""
+"""Dwell solvers of others and our two, each run until the problem's objective is at most the goal."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Spectrum = NDArray[np.complex128]
 
 
 def lean(problem: DwellProblem) -> QuadraticObjective:
-    """The objective in float64 for an effect of convolutions, with little but the transforms to pay for."""
+    """The objective in float64 for an effect of convolutions, at little more than the cost of the transforms."""
     effect, mask = problem.effect, problem.solve_mask
     assert isinstance(effect, ConvolutionEffect)
     size, (top, left), factors = effect.size, effect.corner, list(effect.coefficients.T.copy())
@@ -75,7 +75,7 @@ def lean(problem: DwellProblem) -> QuadraticObjective:
 
 
 def ours(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> None:
-    """Douglas-Rachford as its `solve` runs it; the objective is asked in float64, at the solver's own interval."""
+    """Douglas-Rachford as its `solve` runs it; the objective is evaluated in float64, at the solver's own interval."""
     work, stop = started(problem, value, goal)
     douglas_rachford.minimise(work, stop, lambda: False)
     if value(work.time_s) > goal.objective or (work.time_s < 0).any():
@@ -90,7 +90,7 @@ def started(
 
 
 def iterations(problem: DwellProblem, value: Callable[[FloatArray], float], goal: Goal) -> int:
-    """How many of ours it takes, looked at after each."""
+    """Count our iterations, with a check after each."""
     work, stop = started(problem, value, goal)
     if douglas_rachford.minimise(work, stop, lambda: False, ask_every=1) != "reached":
         raise RuntimeError("the goal was not reached")
@@ -98,7 +98,7 @@ def iterations(problem: DwellProblem, value: Callable[[FloatArray], float], goal
 
 
 def transforms(problem: DwellProblem, times: int) -> None:
-    """What so many iterations of ours transform: forth and back, one for the removal and one for each convolution."""
+    """Run the transforms of so many of our iterations: both ways, one for the removal, one for each convolution."""
     effect = problem.effect
     assert isinstance(effect, ConvolutionEffect)
     on = transform_plane(effect.size)
@@ -121,7 +121,7 @@ def _alone(times: int, fields: Field, columns: Columns, order: FftPlanArrays) ->
 
 @inline
 def _scaled(field: Field, slab: int, order: FftPlanArrays) -> None:
-    """That nothing grows without end."""
+    """Bound all variables."""
     for half in range(2):
         for x in range(order.row.n):
             store(field[half, slab], x * COUNT, TINY * load(field[half, slab], x * COUNT))
@@ -139,7 +139,7 @@ def newton(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
 
 
 def lsq_linear(problem: DwellProblem, f: QuadraticObjective, goal: Goal) -> None:
-    """It has no way to be stopped at an objective: run at ever smaller tolerances until it gets there."""
+    """It cannot stop at an objective: run it at ever smaller tolerances until it reaches the goal."""
     m, n = f.target.size, problem.effect.n
     root = np.sqrt(m * f.regularisation)
     whole = LinearOperator(
@@ -166,12 +166,12 @@ def backend(problem: DwellProblem, name: str, goal: Goal, within_s: float) -> No
 
 
 def give_up() -> None:
-    """A peer that will not get there is left to the race's cap: it did not finish."""
+    """A peer that will not reach the goal is left to the race's cap: it did not finish."""
     signal.pause()
 
 
 def reference(problem: DwellProblem, gap: float, within_s: float = 600.0, kkt_tolerance: float = 1e-9) -> Goal:
-    """The objective at this relative gap from a minimum found in float64, to that KKT residual."""
+    """Return the objective at this relative gap from a minimum found in float64, to that KKT residual."""
     found = douglas_rachford.solve(replace(problem, warm=None), within_s, kkt_tolerance).certificate
     if not found.kkt_residual <= kkt_tolerance:
         raise RuntimeError(f"the reference has a KKT residual of {found.kkt_residual:g}")

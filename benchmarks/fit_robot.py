@@ -1,10 +1,10 @@
-"""The fit behind the default `HybridRobot`, to be run again: ``python -m benchmarks.fit_robot``.
+"""The fit behind the default `HybridRobot`; run it again with ``python -m benchmarks.fit_robot``.
 
 Published are the linear compliance over the workspace (fig. 10), the limbs' stroke and the workspace (Table I). Radii,
-lengths and stiffnesses are not. The geometry is taken as it is shipped: proportions that put the workspace into the
-stroke but for its lower rim. The stiffnesses are fitted to the ends of the compliance's range. Two figures do not tell
-five stiffnesses: each is held near an engineer's guess, as far as the range leaves it free, so that in fact the limbs'
-and A's are fitted, and the others guessed.
+lengths and stiffnesses are not. The shipped geometry is taken: proportions that put the workspace into the stroke
+except for its lower rim. The stiffnesses are fitted to the ends of the compliance's range. Two figures do not determine
+five stiffnesses: each is held near an engineer's guess, as far as the range leaves it free. In effect the limbs' and
+A's are fitted, and the others are guesses.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Sample:
     tip_mm: FloatArray
     axis: FloatArray
     out_of_stroke: int
-    """How many more there would be, had the limbs the length."""
+    """Number of further points that longer limbs would reach."""
 
 
 def main() -> int:
@@ -87,7 +87,7 @@ def fit(start: HybridRobot, sample: Sample) -> HybridRobot:
 
 
 def range_um_per_n(robot: HybridRobot, sample: Sample) -> FloatArray:
-    """Least and greatest linear compliance along the vertical, at the process's dip."""
+    """Return least and greatest linear compliance along the vertical, at the process's dip."""
     matrix = tip_compliance_mm_per_n(robot, sample.tip_mm, sample.axis)
     up = np.tile([0.0, 0.0, -1.0], (len(matrix), 1))
     compliance = equivalent_compliance(matrix, sample.axis, up) * 1e3
@@ -95,12 +95,12 @@ def range_um_per_n(robot: HybridRobot, sample: Sample) -> FloatArray:
 
 
 def gamma(limits_um_per_n: FloatArray) -> FloatArray:
-    """What they leave of the contact's depth, least first."""
+    """Return the share of the contact's depth that is left, least first."""
     return np.sort(depth_ratio(limits_um_per_n / 1e3, PROCESS, float(hertz_depth_mm(PROCESS))))
 
 
 def workspace(n: int) -> Sample:
-    """n x n x n points of Table I's cylinder, the spindle leaning inward; on the base's z axis it leans all ways."""
+    """n x n x n points of Table I's cylinder, the spindle leaning inward; on the base's z axis in all directions."""
     robot, dip = HybridRobot(), np.radians(PROCESS.dip_deg)
     grid = np.linspace(-robot.workspace_radius_mm, robot.workspace_radius_mm, n)
     x, y, height = (a.ravel() for a in np.meshgrid(grid, grid, np.linspace(*robot.workspace_height_mm, n)))

@@ -1,4 +1,4 @@
-"""What a benchmark module needs: ``Row``, ``race`` that measures one, and a simulated cell."""
+"""Common parts of the benchmark modules: ``Row``, ``race`` that measures one, and a simulated cell."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ MIN_REPEATS = 3
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One comparison. All values are costs: less is better. A peer's ``None`` says that it did not finish."""
+    """One comparison. All values are costs: less is better. The ``None`` of a peer means that it did not finish."""
 
     name: str
     ours: float
     peers: Mapping[str, float | None]
     unit: str = "s"
     quartiles: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Of ``ours`` and of each peer that ran more than once: between these half of its runs lay."""
+    """Quartiles of ``ours`` and of each peer that ran more than once."""
 
     @property
     def ratio(self) -> float | None:
-        """Cost of the best peer over ours: above 1, ours is the better; None where there is nothing to divide."""
+        """Cost of the best peer over ours: above 1, ours is the better; None without a cost to divide."""
         finished = [value for value in self.peers.values() if value is not None]
         return min(finished) / self.ours if finished and self.ours > 0 else None
 
     def as_json(self) -> dict[str, Any]:
-        """The row as ``build/bench.json`` holds it."""
+        """Return the row for ``build/bench.json``."""
         return {
             "name": self.name,
             "ours": self.ours,
@@ -93,7 +93,7 @@ def race(
                 del running[runner]
     costs = {runner: _median(values) for runner, values in taken.items()}
     own = costs.pop("ours")
-    assert own is not None  # else it raised above
+    assert own is not None  # an error was raised above
     spread = {runner: ends for runner, values in taken.items() if (ends := _quartiles(values)) is not None}
     return Row(name, own, costs, unit, spread)
 
@@ -112,7 +112,7 @@ def _median(costs: list[float | None]) -> float | None:
 
 
 def cpu_seconds(run: Runner, cap_s: float) -> float | None:
-    """CPU seconds of one run in a fork of its own, with those of the processes it waits for; None if capped."""
+    """CPU seconds of one run in a fork, with those of the processes it waits for; None if capped."""
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_timed, args=(run, sender))
@@ -131,11 +131,11 @@ def cpu_seconds(run: Runner, cap_s: float) -> float | None:
 
 
 def _timed(run: Runner, sender: Connection) -> None:
-    os.setsid()  # so that what it starts can be killed with it
+    os.setsid()  # so that its children can be killed with it
     before = _cpu_s()
     try:
         run()
-    except BaseException:  # noqa: BLE001  it is reported by the parent, whatever it is
+    except BaseException:  # noqa: BLE001  the parent reports every error
         sender.send(traceback.format_exc())
     else:
         sender.send(_cpu_s() - before)
@@ -151,14 +151,14 @@ def _kill_group(process: multiprocessing.process.BaseProcess) -> None:
     try:
         os.killpg(process.pid, signal.SIGKILL)
     except ProcessLookupError:
-        process.kill()  # it has no group of its own yet, or nothing is left of it
+        process.kill()  # it has no process group yet, or has ended
     process.join()
     process.close()
 
 
 @contextmanager
 def running_cell(sim: str) -> Iterator[dict[str, str]]:
-    """A simulated cell of that SIM.toml, as processes: where each device answers."""
+    """Run a simulated cell of that SIM.toml; yield the address of each device."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         config, state = folder / "sim.toml", folder / "sim"
@@ -168,7 +168,7 @@ def running_cell(sim: str) -> Iterator[dict[str, str]]:
 
 
 def peak_mb(run: Callable[[], object]) -> float:
-    """Most that a run holds beyond what it was given, MB."""
+    """Most memory that a run takes beyond its input, MB."""
     tracemalloc.start()
     try:
         run()

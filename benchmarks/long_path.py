@@ -1,4 +1,4 @@
-"""What a program of many blocks passes through, stage by stage, and the memory that each may take for a block."""
+"""The stages of a program of many blocks, and the memory that each may take for a block."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ BOUNDS = {
     "krl, read": 200,
     "krl, rewritten": 200,
 }
-"""Most bytes of peak memory that a stage may take for each block (a language: for each line) beside what it is given.
+"""Most bytes of peak memory that a stage may take for each block (a language: for each line) beside its input.
 
-What it gives is counted in. docs/programs.md tells them; benchmark and test hold them.
+Its output is included. docs/programs.md lists them; benchmark and test check them.
 """
 FIXED_MB = 40.0
-"""What a stage takes however few the blocks: pieces of the program's text under way, SQLite's pages."""
+"""Memory of a stage for any number of blocks: pieces of the program's text under way, SQLite's pages."""
 TURN = 100
-"""Blocks that are told at once."""
+"""Blocks in one report."""
 GROUP = 5_000
 """Blocks after which the journal's disk has caught up."""
 WRITING = {
@@ -97,7 +97,7 @@ def language_stages(language: str, text: bytes) -> Iterator[Stage]:
 
 
 def nc_stages(text: bytes) -> Iterator[Stage]:
-    """From the program's text to the robot; each is to be run before the next is asked for."""
+    """Stages from the program's text to the robot; run each before the next is requested."""
     spoken, kept = dialect("rs274"), dict[str, Any]()
     few = formats.read(spoken, nc_program(20_000), "compiled")
     formats.rewrite(spoken, few, few.time_s * 1.3)  # on a new machine the compiler would count as the stages' memory
@@ -116,7 +116,7 @@ def nc_stages(text: bytes) -> Iterator[Stage]:
 
 
 def kept_stages(blocks: int, folder: Path) -> Iterator[Stage]:
-    """From what the robot tells to the report; each is to be run before the next is asked for."""
+    """Stages from the robot's report to the final report; run each before the next is requested."""
     state = folder / "state"
     state.mkdir()
     opened = [Journal.open(state, job="long", part_id="p")]
@@ -138,17 +138,17 @@ def kept_stages(blocks: int, folder: Path) -> Iterator[Stage]:
 
 
 def record(journal: Journal, blocks: int) -> None:
-    """Blocks as a robot tells them, with all that is known of each."""
+    """Blocks as a robot reports them, with all their data."""
     for first in range(0, blocks, TURN):
-        told = range(first, min(first + TURN, blocks))
-        journal.record_executed(0, [executed(seq) for seq in told])
+        reported = range(first, min(first + TURN, blocks))
+        journal.record_executed(0, [executed(seq) for seq in reported])
         if first % GROUP == 0:
             journal.flush()  # at the speed of the disk, as in contact
     journal.flush()
 
 
 def executed(seq: int) -> BlockRecord:
-    """A block with numbers as long as they come."""
+    """A block with the longest possible numbers."""
     begin_s = seq * 0.0123456789
     return BlockRecord(
         ExecutedBlock(seq, begin_s, begin_s + 0.0123456789),
@@ -161,7 +161,7 @@ def executed(seq: int) -> BlockRecord:
 
 
 class Sink:
-    """A robot that takes all at once and executes nothing but what it is told to."""
+    """A robot that accepts all blocks at once and executes only on command."""
 
     def __init__(self) -> None:
         self.taken = self.blocks = 0
@@ -187,7 +187,7 @@ class Sink:
 
 
 async def streamed(plan: Plan) -> int:
-    """All blocks handed over in the daemon's chunks; how many."""
+    """Send all blocks in the daemon's chunks; return their number."""
     sink = Sink()
     async with AsyncExitStack() as stack:
         robot, clock = cast("Robot", sink), cast("Clock", Still())
@@ -197,14 +197,14 @@ async def streamed(plan: Plan) -> int:
 
 
 class Still:
-    """A clock that lets nobody wait for long."""
+    """A clock without long waits."""
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(min(seconds, 0.01))
 
 
 def wide() -> Envelope:
-    """Limits that nothing crosses."""
+    """Limits that no point violates."""
     return Envelope(
         x_mm=(-1e6, 1e6), y_mm=(-1e6, 1e6), z_mm=(-1e6, 1e6), max_feed_mm_s=1e9, min_feed_mm_s=0.0, accel_mm_s2=1e9,
         block_overhead_s=0.0, corner_deg=180.0, max_pass_s=1e12, max_removal_nm=1e9,

@@ -1,6 +1,6 @@
-"""``python -m benchmarks.probed_daemon NOTE run CELL.toml``: polishd, whose loop notes how late it wakes.
+"""``python -m benchmarks.probed_daemon NOTE run CELL.toml``: polishd, whose loop records how late it wakes.
 
-A line of NOTE is when a task of the loop was to wake after 5 ms (``time.monotonic``), and by how many ms later it did.
+A line of NOTE is the due time of a wake after 5 ms (``time.monotonic``), and its lateness in ms.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ EVERY_S = 0.005
 
 
 async def note_on(note: TextIO) -> None:
-    """Until it is cancelled."""
+    """Run until it is cancelled."""
     while True:
         due_s = time.monotonic() + EVERY_S
         await asyncio.sleep(EVERY_S)
@@ -28,7 +28,7 @@ async def note_on(note: TextIO) -> None:
 
 
 def probe(path: Path) -> None:
-    """Have each loop that watches its health note how late it is."""
+    """Make each loop with a health monitor record its lateness."""
     watching = Health.watching
 
     @asynccontextmanager

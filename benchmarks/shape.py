@@ -1,4 +1,4 @@
-"""How large the source is: lines per package, and how long files, functions and classes are.
+"""Size of the source: lines of each package, and length of files, functions and classes.
 
 ``python -m benchmarks.shape [ROOT]``; ROOT is a checkout, this one by default.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from polishd.rendering.terminal import record_table, stdout
 
 EMPTY = 3
-"""Lines: what is not longer is a package's mark, and says nothing of files."""
+"""Lines: a shorter file only marks a package, and is not counted."""
 
 
 def spans(tree: ast.AST, kinds: tuple[type[ast.AST], ...]) -> Iterator[int]:

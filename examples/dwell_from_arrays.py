@@ -1,5 +1,5 @@
 # ruff: noqa: T201
-"""Dwell times for arrays of your own: a map, a TIF and dwell points."""
+"""Dwell times for your arrays: a map, a TIF and dwell points."""
 
 from dataclasses import replace
 from functools import partial
@@ -16,11 +16,11 @@ X, Y = np.meshgrid(x_mm, y_mm)
 height_nm = 20 * np.sin(X / 5) * np.cos(Y / 4) + 5 * np.cos(X / 2 + Y / 3)
 height_nm -= height_nm.min()
 
-# A TIF in nm/s: 25 x 25 samples at 0.2 mm, the dwell point in their middle.
+# A TIF in nm/s: 25 x 25 samples at 0.2 mm, the dwell point in their center.
 u = (np.arange(25) - 12) * 0.2
 tif_nm_s = 5 * np.exp(-(u[None, :] ** 2 + u[:, None] ** 2) / 1.3)
 
-# Dwell points anywhere: here a spiral over the part and a little beyond. Leave them out for a square lattice.
+# Dwell points anywhere: here a spiral over the part and a little beyond. Omit them for a square lattice.
 angle = np.sqrt(np.arange(0, 2000) * 2.0)
 spiral = np.stack([15 + 0.36 * angle * np.cos(angle * 2), 10 + 0.36 * angle * np.sin(angle * 2)], axis=1)
 inside = (np.abs(spiral[:, 0] - 15) < 17) & (np.abs(spiral[:, 1] - 10) < 12)

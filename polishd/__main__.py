@@ -1,4 +1,4 @@
-"""The entry point, as ``polishd`` and ``python -m polishd``: settles what Ctrl-C does before anything is imported."""
+"""Entry point of ``polishd`` and ``python -m polishd``: sets the handling of Ctrl-C before any import."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from types import FrameType
 from typing import NoReturn
 
 IMPORTS = "<frozen importlib._bootstrap>"
-"""The file of the frames of an import that is under way."""
+"""File name in the frames of a running import."""
 LATER_S = 0.01
 INTERRUPTED = 130
-"""The exit code that shells give to what SIGINT ended."""
+"""Exit code that shells give to a process ended by SIGINT."""
 
 
 def main() -> None:
-    """Run the command line. Ctrl-C is exit code 130, and no traceback, whenever it comes."""
+    """Run the command line. Ctrl-C always ends it with exit code 130 and without a traceback."""
     try:
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # it is ignored behind nohup
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # nohup ignores the signal
             signal.signal(signal.SIGALRM, _interrupt)
             signal.signal(signal.SIGINT, _interrupt)
             sys.unraisablehook = _unraisable
@@ -30,21 +30,21 @@ def main() -> None:
         _leave(ended.code)
     finally:
         if signal.getsignal(signal.SIGINT) in {_interrupt, signal.default_int_handler}:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to tidy up while Python ends
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # no cleanup remains while Python ends
             signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _leave(code: object) -> NoReturn:
-    """Exit, whatever hangs."""
+    """Exit without waiting for hanging threads."""
     if (threads := sys.modules.get("polishd.util.threads")) is not None:
         threads.exit_if_hung(code if isinstance(code, int) else int(code is not None))
     sys.exit(code)  # type: ignore[arg-type]
 
 
 def _interrupt(_number: int, frame: FrameType | None) -> None:
-    """KeyboardInterrupt, but not inside an import: modules in C print it, and raise something else.
+    """Raise KeyboardInterrupt, but not inside an import: C modules print it and raise another exception.
 
-    Imports take a second at most; then it is raised.
+    Imports take at most a second; then it is raised.
     """
     while frame is not None:
         if frame.f_code.co_filename == IMPORTS:
@@ -55,7 +55,7 @@ def _interrupt(_number: int, frame: FrameType | None) -> None:
 
 
 def _unraisable(ignored: sys.UnraisableHookArgs) -> None:
-    """An interrupt that came where nothing can be raised, as in a destructor, comes again."""
+    """Repeat an interrupt that came where no exception can be raised, for example in a destructor."""
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         signal.setitimer(signal.ITIMER_REAL, LATER_S)
     else:

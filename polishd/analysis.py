@@ -1,7 +1,7 @@
-"""What a researcher computes with, in one place: maps, spots, robots, dwell, jobs in a closed loop, studies.
+"""Analysis API for researchers: maps, spots, robots, dwell, closed-loop jobs, studies.
 
-Each name is also polishd's own: ``polishd.read_map("map.dat")``. Examples: docs/researcher.md. Plugins and drivers have
-`polishd.api` instead.
+Each name is also a name of the package: ``polishd.read_map("map.dat")``. Examples: docs/researcher.md. Plugins and
+drivers use `polishd.api` instead.
 """
 
 from __future__ import annotations
@@ -74,18 +74,18 @@ _ONE = "nothing"
 
 
 def read_map(path: str | Path) -> SurfaceMap:
-    """A map in any format that a cell reads: (ny, nx) heights in nm, positive high, row 0 the top, NaN where no data.
+    """Read a map in any format of a cell: (ny, nx) heights in nm, positive high, row 0 the top, NaN for no data.
 
-    SurfaceError where it cannot be read.
+    SurfaceError if it cannot be read.
     """
     return _read(Path(path))
 
 
 def read_cell(path: str | Path, overrides: Mapping[str, Any] | None = None) -> CellConfig:
-    """A cell's file; ``overrides`` are values by dotted key, as ``{"process.force_n": 10.0}``. ConfigError.
+    """Read a cell file; ``overrides`` are values by dotted key, as ``{"process.force_n": 10.0}``. ConfigError.
 
-    Its ``robot_model()``, ``tool_process()``, ``placement()`` and ``compliance_options()`` are what the functions here
-    take.
+    Its ``robot_model()``, ``tool_process()``, ``placement()`` and ``compliance_options()`` are arguments of the
+    functions here.
     """
     return load_config(Path(path), overrides)
 
@@ -100,23 +100,23 @@ def loop_job(
     passes: int = 6,
     raster: bool = True,
 ) -> ClosedLoopResult:
-    """One job in a closed loop, from its first map to its end, against a simulated plant in a process of its own.
+    """Run a job in a closed loop, from its first map to its end, against a simulated plant in a separate process.
 
     Args:
-        cell: the cell's file.
-        plant: the plant's, as the simulator reads it (SIM.toml).
-        seed: what all that the plant hides is drawn from.
-        cell_with: what differs from the cell's file, by dotted key; also ``witness``, ``poses`` and ``learns`` of a
+        cell: Cell file.
+        plant: Plant file of the simulator (SIM.toml).
+        seed: Seed of the plant's hidden values.
+        cell_with: Overrides of the cell file, by dotted key; also ``witness``, ``poses`` and ``learns`` of a
             study's loop.
-        plant_with: what differs from the plant's, by section and key.
-        passes: most of them.
-        raster: take a raster of one's own, instead of the cell's program.
+        plant_with: Overrides of the plant file, by section and key.
+        passes: Largest number of passes.
+        raster: Use a generated raster instead of the cell's program.
 
     Returns:
-        What the loop saw, and what was true, nm RMS after each pass.
+        Measured and true residual, nm RMS after each pass.
 
     Raises:
-        ConfigError: a file or a key is wrong. ProgramError: the cell's program is.
+        ConfigError: A file or a key is wrong. ProgramError: The cell's program is wrong.
     """
     raw = {
         "kind": "loop",
@@ -144,31 +144,31 @@ def run_study(
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> Rows:
-    """The rows of a study of many cases (a ``[sweep]``, or loops), as ``polishd study`` computes them.
+    """Compute a study of many cases (a ``[sweep]``, or loops), as ``polishd study`` does.
 
     Args:
-        study: its file.
-        out: folder in which cases are kept, and from which they go on.
-        limit: the first so many cases.
-        workers: processes of this machine; None: one a core.
-        scheduler: a Dask scheduler's address instead, as ``tcp://HOST:PORT``.
+        study: Study file.
+        out: Folder that stores the cases, to continue an interrupted study.
+        limit: Number of cases to compute, from the first.
+        workers: Processes of this computer; None: one per core.
+        scheduler: Address of a Dask scheduler instead, as ``tcp://HOST:PORT``.
 
     Returns:
-        A row a case, in their order: the columns are those of docs/studies.md.
+        One row per case, in order, with the columns of docs/studies.md.
 
     Raises:
-        ConfigError: a case cannot be, or nobody computes it; nothing was computed.
+        ConfigError: A case is invalid, or no process computes it; nothing was computed.
     """
     folder = None if out is None else Path(out)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     swept = load_swept(Path(study))
     if not swept.is_sweep and swept.raw["kind"] != "loop":
-        raise ConfigError(f'{study}: is one case; give it a [sweep], or run it with "polishd study"')
+        raise ConfigError(f'{study}: is a single case. Add a [sweep], or run it with "polishd study".')
     return run_cases(swept, StudyOptions(folder, limit, workers, scheduler)).rows
 
 
 def read_study(folder: str | Path) -> tuple[Rows, dict[str, Any]]:
-    """The rows that a study has left in its folder, ended or not, and its file's values. ConfigError."""
+    """Read the rows in a study's folder, complete or not, and the values of its file. ConfigError."""
     rows, text = read_table(Path(folder))
     return rows, tomllib.loads(text)

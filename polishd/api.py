@@ -1,4 +1,4 @@
-"""The one import for plugin authors: hooks, records, nouns, ports, errors, and what drivers are made of."""
+"""Public API for plugin authors: hooks, records, data types, ports, errors, and building blocks of drivers."""
 
 from __future__ import annotations
 
@@ -244,10 +244,10 @@ _TRANSPORT = {
     ),
 }
 
-if not TYPE_CHECKING:  # or every misspelt name of this module would be Any
+if not TYPE_CHECKING:  # otherwise every misspelt name of this module would be Any
 
     def __getattr__(name: str) -> Any:
-        """What drivers are made of is imported when it is first asked for: commands without devices need no asyncio."""
+        """Import the building blocks of drivers at their first use: commands without devices need no asyncio."""
         for module, names in _TRANSPORT.items():
             if name in names:
                 return getattr(import_module(f"polishd.drivers.{module}"), name)

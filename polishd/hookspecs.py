@@ -1,7 +1,7 @@
-"""The hooks of polishd and the records that they return. Hooks are synchronous: they declare or judge; devices act.
+"""Hooks of polishd and the records that they return. Hooks are synchronous: they declare or judge; devices act.
 
-A plugin is a module (or object) that implements any of these with ``@hookimpl`` from ``polishd.api`` and says
-``POLISHD_API = 1``. It is registered through the entry-point group ``polishd`` and loaded when the config names it.
+A plugin is a module (or object) that implements hooks with ``@hookimpl`` from ``polishd.api`` and sets
+``POLISHD_API = 1``. It is registered in the entry-point group ``polishd`` and loaded if the config names it.
 """
 
 from __future__ import annotations
@@ -50,33 +50,33 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 
 @dataclass(frozen=True, slots=True)
 class DeviceType:
-    """A kind of device that the config can name: ``[robot] type = "robot_link"``."""
+    """A device type for the config: ``[robot] type = "robot_link"``."""
 
     name: str
     port: str
-    """A section for devices: ``robot``, ``actuator``, ``spindle``, ``metrology``, ``loader``, ``force_sensor`` or
+    """Config section: ``robot``, ``actuator``, ``spindle``, ``metrology``, ``loader``, ``force_sensor`` or
     ``monitor``.
     """
     options: type[Any]
     """A pydantic model: the keys of the device's config section besides ``type``."""
     build: Callable[[Any, DeviceContext], Device]
-    """Make the device from validated options. Opens nothing."""
+    """Build the device from validated options. Opens nothing."""
     takes: Callable[[Sequence[bytes]], str] | None = None
-    """Of a robot: (blocks of a program) -> why it could not run them, empty where it could; None: nobody can say."""
+    """Robot: (blocks of a program) -> why it cannot run them, empty if it can; None: no check."""
     own_lines: Callable[[Any, DeviceContext], OwnLines] | None = None
-    """Of a robot: (validated options, context) -> the lines that its driver adds to a program; None: it adds none.
+    """Robot: (validated options, context) -> the lines that its driver adds to a program; None: it adds none.
     ``polishd check`` refuses a program in whose format these lines mean something else."""
     program_format: str = ""
-    """Robot: the only program format that its controller reads; empty: several."""
+    """Robot: the only program format of its controller; empty: several."""
     usual_address: str = ""
-    """Address that ``polishd init`` proposes."""
+    """Address that ``polishd init`` suggests."""
     simulated_by: str = ""
-    """``SimDevice.name`` of the simulated device that speaks the same protocol; empty: there is none."""
+    """``SimDevice.name`` of the simulated device with the same protocol; empty: none."""
     simulation_speed: float = 10.0
-    """Robot: process seconds per wall second that its simulated controller and its driver can keep up with."""
+    """Robot: highest process seconds per wall second of its simulated controller and its driver."""
     substitute: Mapping[str, Any] | None = None
-    """The simulated device can take the place of any device of this port: keys of its section besides ``type`` and
-    ``address``, for a busy computer. None: it cannot. One device type a port has them."""
+    """Section keys besides ``type`` and ``address`` for a busy computer, if the simulated device can replace any device
+    of this port. None: it cannot. Only one device type per port has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,19 +84,19 @@ class OwnLines:
     """Lines that a robot's driver adds to a program."""
 
     source: str
-    """Where they come from, for messages."""
+    """Source of the lines, for messages."""
     dwells: Mapping[float, str]
-    """By the seconds for which the controller is to rest there."""
+    """Dwell lines, by their time in s."""
     stops: Sequence[str]
-    """Lines at which it is to stop, or at which the program is to end."""
+    """Lines that stop the robot or end the program."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceContext:
-    """What a device may need of its cell besides its own options."""
+    """Values of the cell for a device, besides its options."""
 
     base_dir: Path
-    """Folder that relative paths in the config start from."""
+    """Base folder of relative paths in the config."""
     state_dir: Path
     part_id: str
     readers: Sequence[SurfaceReader]
@@ -107,7 +107,7 @@ class DeviceContext:
 
 @dataclass(frozen=True, slots=True)
 class ProgramFormat:
-    """A program format: reads and rewrites, refuses with ProgramError, never guesses.
+    """A program format: reads and rewrites programs; refuses with ProgramError, never guesses.
 
     All callables run in the compute worker: they and the record must be picklable (module-level functions).
     """
@@ -116,44 +116,44 @@ class ProgramFormat:
     read: Callable[[bytes, str], Program]
     """(file content, name for messages) -> Program."""
     rewrite: Callable[[Program, FloatArray], bytes]
-    """(program, (n,) seconds) -> file content; changes only numbers that carry time."""
+    """(program, (n,) seconds) -> file content; changes only numbers that set times."""
     make: Callable[[FloatArray, FloatArray, float, str], bytes] | None = None
-    """((n, 3) points in mm, (n, 3) unit tool axes, mm/min, name) -> content of a program along them that rises from
-    the last one and ends, by way of a safe height to the first; None where no programs are made in this format."""
+    """((n, 3) points in mm, (n, 3) unit tool axes, mm/min, name) -> content of a program that goes to the first
+    point by way of a safe height, along the points, and up from the last one; None: the format writes no programs."""
     misreads: Callable[[OwnLines], str] | None = None
-    """(lines that a robot's driver adds) -> the first that means something else in this format, and what; empty: none.
-    None: the format does not know."""
+    """(lines that a robot's driver adds) -> the first one with another meaning in this format, and that meaning; empty:
+    none. None: the format does not know."""
 
 
 NO_MAP = b"?\n"
-"""The head of a text that is of no format: who takes it goes by its name alone."""
+"""Start of a text of no format: a reader that accepts it goes by the file name alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceReader:
     """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap.
 
-    Readers are asked in the order in which they are declared: those that know a magic number before those that
-    judge by name; and those of other distributions before polishd's own, some of which take any text.
+    polishd tries readers in the order of their declaration: readers by magic number before readers by name, and those
+    of other distributions before polishd's, some of which accept any text.
     """
 
     name: str
     sniff: Callable[[bytes, Path], bool]
     read: Callable[[Path], SurfaceMap]
     suffixes: tuple[str, ...] = ()
-    """Usual endings of such files (".dat"), lower case: what ``write`` is chosen by."""
+    """Usual endings of such files (".dat"), lower case; they select ``write``."""
     write: Callable[[SurfaceMap], bytes] | None = None
-    """Content of a file that holds the map; raises BadMap where the format cannot hold it. None: read only."""
+    """(map) -> file content; raises BadMap if the format cannot hold it. None: read only."""
     dates: bool = False
-    """Whether such files say when they were measured; else the file system dates them."""
+    """Whether such files contain their time of measurement; otherwise the file's time is used."""
 
     def surface_of(self, head: bytes, path: Path) -> SurfaceMap | None:
-        """The map where the file is of this format, None where it is not: everybody asks a reader through this.
+        """Read the map; None if the file is not of this format. All callers use a reader by this method.
 
-        A date or scale that cannot be is taken off it (``process.metrology.conditioning``).
+        Removes an impossible date or scale (``process.metrology.conditioning``).
 
         Raises:
-            SurfaceError: as the reader does, and BadMap, with the file and the reader, for whatever else it raises.
+            SurfaceError: From the reader; BadMap, with file and reader, for any other exception of the reader.
         """
         try:
             if not self.sniff(head, path):
@@ -161,21 +161,21 @@ class SurfaceReader:
             surface: object = self.read(path)
         except SurfaceError:
             raise
-        except Exception as error:  # a parser may raise anything at all on a broken file
+        except Exception as error:  # a parser may raise anything on a broken file
             reason = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
             raise MapError(
-                f"{path}: the reader {self.name!r} failed: {reason}; export the map again, or mend the reader's plugin"
+                f"{path}: the reader {self.name!r} failed: {reason}. Export the map again, or correct its plugin."
             ) from error
         if isinstance(surface, SurfaceMap):
             return drop_implausible(surface, datetime.now(UTC), _written(path))
         raise MapError(
-            f"{path}: the reader {self.name!r} gave {type(surface).__name__}, no SurfaceMap; mend its plugin"
+            f"{path}: the reader {self.name!r} returned {type(surface).__name__}, not a SurfaceMap. Correct its plugin."
         )
 
 
 def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str:
-    """What to do with a text that no reader knows by its name, and one would by its content; "" where none would."""
-    if not head or b"\0" in head:  # of other files the magic number is asked, or the name alone
+    """Advice for a text that no reader accepts by its name but one would by its content; "" if none would."""
+    if not head or b"\0" in head:  # other files are identified by magic number or name
         return ""
     advice = []
     for reader in readers:
@@ -183,7 +183,7 @@ def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str
             ending = _ending(reader, head, path)
         except Exception as error:  # noqa: BLE001  a plugin's reader may raise anything; the file is refused all the same
             advice.append(
-                f"; the reader {reader.name!r} failed on it ({type(error).__name__}: {error}): mend its plugin"
+                f"; the reader {reader.name!r} failed on it ({type(error).__name__}: {error}): correct its plugin"
             )
             continue
         if ending:
@@ -192,7 +192,7 @@ def looks_like(readers: Iterable[SurfaceReader], head: bytes, path: Path) -> str
 
 
 def _ending(reader: SurfaceReader, head: bytes, path: Path) -> str:
-    """Under which the reader would take the file, and not any text; "" for none."""
+    """Return the ending with which the reader would accept this file but not any text; "" for none."""
     for suffix in reader.suffixes:
         other = path.parent / f"map{suffix}"
         if reader.sniff(head, other) and not reader.sniff(NO_MAP, other):
@@ -203,13 +203,13 @@ def _ending(reader: SurfaceReader, head: bytes, path: Path) -> str:
 def _written(path: Path) -> datetime | None:
     try:
         return datetime.fromtimestamp(int(path.stat().st_mtime), UTC)
-    except (OSError, ValueError, OverflowError):  # gone, or of a year that no date can hold
+    except (OSError, ValueError, OverflowError):  # missing, or of a year that datetime cannot hold
         return None
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalRequest:
-    """What a removal model is asked: the effect of dwelling at the timed points of a program."""
+    """Request to a removal model: the effect of dwelling at the timed points of a program."""
 
     program: Program
     grid: Grid
@@ -218,79 +218,79 @@ class RemovalRequest:
     placement: Placement
     correction: Correction
     rate: float
-    """Learned removal rate, relative to the model's own."""
+    """Estimated removal rate, relative to the model's."""
     options: ComplianceOptions = SHIPPED_OPTIONS
     optic: Optic = FLAT
     tif: MeasuredTif | None = None
-    """The cell's measured TIF (``process.tif``), for models that use one."""
+    """Measured TIF of the cell (``process.tif``), for models that use one."""
     rim: Outline | None = None
-    """The part's rim where it is free; None: the part sits in a flush ring."""
+    """Free rim of the part; None: the part is in a flush ring."""
     beliefs: Estimates = UNTAUGHT
-    """All that the model believes, its own record (``RemovalModel.beliefs``); ``rate`` is of it."""
+    """All estimates of the model, in its record (``RemovalModel.beliefs``); ``rate`` is one of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalAnswer:
-    """The effect, and what it was derived from, along the path."""
+    """Effect of a program, with its intermediate results along the path."""
 
     effect: Effect
     compliance_um_per_n: FloatArray
     """(n,) linear equivalent compliance (paper eq. 43)."""
     gamma: FloatArray
-    """(n,) depth ratio (paper eq. 48) as the robot's compliance gives it, whatever the correction uses."""
+    """(n,) depth ratio (paper eq. 48) from the robot's compliance, independent of the correction."""
     notes: tuple[str, ...] = ()
     divide_by: FloatArray | None = None
-    """(n,) for "pointwise": ``effect`` is the static one, and the dwell solved with it is divided by this."""
+    """(n,) for "pointwise": ``effect`` is the static one, and the solved dwell is divided by this."""
     transfer: SpotTransferFunction | None = None
-    """The spot's transfer function: what of a surface is out of its reach; None: not known."""
+    """Transfer function of the spot, which limits the correctable surface errors; None: unknown."""
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
-        """(ny, nx) nm that the model says (n,) seconds in the machine remove."""
+        """Return the modeled removal, (ny, nx) nm, of (n,) seconds in the machine."""
         return self.effect.removal_nm(time_s if self.divide_by is None else time_s * self.divide_by)
 
 
 def learn_rate(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
-    """What a model learns that says nothing else: the removal rate."""
+    """Update the removal rate: the default of models without another ``learn``."""
     return removal_fit.learn_rate(evidence)
 
 
 Learn = Callable[[RemovalRequest, PassEvidence], EstimateUpdate]
-"""(what the last pass's effect was asked with, what the pass did) -> what is believed after it."""
+"""(request of the last pass's effect, evidence of the pass) -> updated estimates."""
 
 
 Later = Callable[[Estimates, float], Estimates]
-"""(what the last pass of a job has taught, days since) -> what the next job begins with, on another part."""
+"""(estimates after a job's last pass, days since) -> initial estimates of the next job, on another part."""
 
 
 @dataclass(frozen=True, slots=True)
 class Learner:
-    """One way to learn from passes."""
+    """One method to update estimates from passes."""
 
     beliefs: Estimates
-    """What is believed before anything was polished. Its class is the record that is kept, and made again from JSON."""
+    """Initial estimates. Their class is the record that is stored and restored from JSON."""
     learn: Learn
     later: Later = removal_fit.rate_for_next_part
 
 
 @dataclass(frozen=True, slots=True)
 class RemovalModel:
-    """A removal model: ``hertz_preston`` is polishd's own. Runs in the compute worker; must be picklable."""
+    """A removal model: ``hertz_preston`` is polishd's. Runs in the compute worker; must be picklable."""
 
     name: str
     effect: Callable[[RemovalRequest], RemovalAnswer]
     beliefs: Estimates = UNTAUGHT
-    """What it believes before anything was polished. Its class is the record that is kept, and made again from JSON."""
+    """Initial estimates. Their class is the record that is stored and restored from JSON."""
     learn: Learn = learn_rate
     later: Later = removal_fit.rate_for_next_part
     learners: Mapping[str, Learner] = field(default_factory=dict)
-    """Other ways, by the name that ``process.estimates`` gives them; ``effect`` knows the beliefs of each."""
+    """Other methods, by their name in ``process.estimates``; ``effect`` accepts the estimates of each."""
 
 
 @dataclass(frozen=True, slots=True)
 class DwellSolver:
     """A dwell solver. ``solve(problem, within_s)`` runs in the compute worker; must be picklable.
 
-    It returns a feasible solution with an honest certificate also when time is up, or raises ComputeError.
+    It returns a feasible solution with a true certificate also at the time limit, or raises ComputeError.
     """
 
     name: str
@@ -299,28 +299,28 @@ class DwellSolver:
 
 @dataclass(frozen=True, slots=True)
 class NotifierType:
-    """A way to reach a person that the config can name: ``[notify.mail] type = "email"``."""
+    """A notifier type for the config: ``[notify.mail] type = "email"``."""
 
     name: str
     options: type[Any]
     """A pydantic model: the keys of the notifier's section besides ``type``, ``severity`` and ``remind_after_s``."""
     build: Callable[[Any, Path], Callable[[Notification], None]]
-    """(validated options, folder that relative paths start from) -> what sends. Sends nothing.
+    """(validated options, base folder of relative paths) -> the send function. Sends nothing.
 
-    What sends is called in a thread of its own and may take a minute; whatever it raises, it is called again later
-    with the same notification. When, how often, and what is not sent at all is not its affair.
+    polishd calls the send function in a separate thread. It may take a minute; after any exception it is called again
+    later with the same notification. polishd decides when, how often, and which notifications are sent.
     """
 
 
 @hookspec
 def polishd_device_types() -> Sequence[DeviceType]:
-    """Declare kinds of devices."""
+    """Declare device types."""
     raise AssertionError("a hook specification is not called")
 
 
 @hookspec
 def polishd_program_formats(profiles: Sequence[Path]) -> Sequence[ProgramFormat]:
-    """Declare program formats; ``profiles`` are dialects of the user's own (``[program] dialects``), to use or not."""
+    """Declare program formats; ``profiles`` are the user's dialects (``[program] dialects``), which it may use."""
     raise AssertionError("a hook specification is not called")
 
 
@@ -344,19 +344,19 @@ def polishd_dwell_solvers() -> Sequence[DwellSolver]:
 
 @hookspec
 def polishd_check_plan(plan: Plan, envelope: Envelope) -> Sequence[str]:
-    """Judge a plan before anything moves: each string is a violation and a veto; so is any exception."""
+    """Check a plan before any motion: each returned string is a violation that vetoes the plan; so is any exception."""
     raise AssertionError("a hook specification is not called")
 
 
 @hookspec
 def polishd_on_event(event: Event) -> None:
-    """Hear of an event: a record of ``polishd.model.events``. An exception is logged and changes nothing."""
+    """Receive an event: a record of ``polishd.model.events``. An exception is logged and has no other effect."""
     raise AssertionError("a hook specification is not called")
 
 
 @hookspec
 def polishd_notifiers() -> Sequence[NotifierType]:
-    """Declare ways to reach a person."""
+    """Declare notifier types."""
     raise AssertionError("a hook specification is not called")
 
 

@@ -1,4 +1,4 @@
-"""Plugins: found by entry point, checked one by one, refused by name, and called so that none takes others down."""
+"""Plugins: found by entry point, checked one by one, refused by name, and isolated from each other in calls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from polishd.model.errors import PluginError
 from polishd.model.events import Event
 from polishd.model.program import Envelope, Plan
 
-# What a plugin must be before it is used. Each check gives the reason to refuse it, or None.
+# Checks of a plugin before its use. Each returns the reason to refuse it, or None.
 
 HOOKS = frozenset(name for name in vars(hookspecs) if name.startswith(f"{PROJECT}_"))
 DECLARATIONS: dict[str, type[Any]] = {
@@ -42,46 +42,46 @@ DECLARATIONS: dict[str, type[Any]] = {
     "polishd_dwell_solvers": DwellSolver,
     "polishd_notifiers": NotifierType,
 }
-"""Hooks that declare records, and the kind of record."""
+"""Hooks that declare records, with the class of the records."""
 
 
 @dataclass(frozen=True, slots=True)
 class RefusedPlugin:
-    """A plugin that was not loaded, and why."""
+    """A plugin that was not loaded, with the reason."""
 
     name: str
     reason: str
 
     def __str__(self) -> str:
-        """For people."""
+        """Return the message."""
         return f"plugin {self.name!r} refused: {self.reason}"
 
 
 def wrong_version(plugin: Any) -> str | None:
-    """The plugin must say for which API it was written."""
+    """Check that the plugin states its API version."""
     said = getattr(plugin, "POLISHD_API", None)
     if said is None:
-        return f"it does not say which API it was written for; add POLISHD_API = {API_VERSION}"
+        return f"it does not state its API version. Add POLISHD_API = {API_VERSION}."
     if said != API_VERSION or isinstance(said, bool):
-        return f"it was written for API {said!r}, this polishd has API {API_VERSION}; install a version that fits"
+        return f"it was written for API {said!r}, this polishd has API {API_VERSION}. Install a matching version."
     return None
 
 
 def misspelt_hooks(plugin: Any) -> str | None:
-    """Anything named like a hook must be one, and be marked as one."""
+    """Check that each name of a hook exists and is marked."""
     for name in dir(plugin):
         member = inspect.getattr_static(plugin, name)
         function = inspect.unwrap(member) if callable(member) else getattr(member, "__func__", None)
         marked = hasattr(function, f"{PROJECT}_impl")
         if name not in HOOKS and (marked or (name.startswith(f"{PROJECT}_") and inspect.isfunction(function))):
-            return f"{name} is no hook{did_you_mean(name, HOOKS)} Hooks: {join_words(HOOKS)}"
+            return f"{name} is not a hook{did_you_mean(name, HOOKS)} Hooks: {join_words(HOOKS)}"
         if name in HOOKS and not marked:
-            return f"{name} is not marked; put @hookimpl from polishd.api before it"
+            return f"{name} is not marked. Put @hookimpl from polishd.api before it."
     return None
 
 
 def wrong_records(hook: str, records: Any) -> str | None:
-    """What a declaring hook returned must be a sequence of its record, each name once."""
+    """Check that a declaring hook returned a sequence of its record, each name once."""
     kind = DECLARATIONS[hook]
     if not isinstance(records, Sequence) or isinstance(records, str):
         return f"{hook} must return a list of {kind.__name__}, not {type(records).__name__}"
@@ -117,36 +117,36 @@ RENAMED = {
         "devices",
     ),
 }
-"""Names that plugins had before: a cell file with one is refused with the new name."""
+"""Old names of plugins: a cell file with one is refused with the new name."""
 SLOW_S = 0.25
-"""A plugin that takes longer over an event is named in the log."""
+"""Time for an event after which the log names the plugin."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedPlugin:
-    """A plugin in use. It has a plugin manager of its own, so a call reaches it and no other."""
+    """A plugin in use, with a separate plugin manager, so that a call reaches only this plugin."""
 
     name: str
     distribution: str
     version: str
     records: Mapping[str, tuple[Any, ...]]
-    """By declaring hook."""
+    """Records by declaring hook."""
     manager: pluggy.PluginManager
 
     def implements(self, hook: str) -> bool:
-        """Whether the plugin has that hook."""
+        """Whether the plugin implements that hook."""
         return bool(getattr(self.manager.hook, hook).get_hookimpls())
 
 
 @dataclass(frozen=True, slots=True)
 class PluginReport:
-    """What was loaded, and what was refused and why."""
+    """Loaded plugins, and refused ones with their reasons."""
 
     loaded: tuple[LoadedPlugin, ...]
     refused: tuple[RefusedPlugin, ...]
 
     def require(self) -> None:
-        """PluginError, naming each, where any was refused: a cell does not run without a part of its config."""
+        """Raise PluginError with each refused plugin: a cell does not run without a part of its config."""
         if self.refused:
             raise PluginError("\n".join(map(str, self.refused)))
 
@@ -162,11 +162,11 @@ class Hooks:
         return self._records("polishd_device_types")
 
     def plugin_of(self, hook: str, name: str) -> str:
-        """The plugin that declared the record of that name."""
+        """Return the plugin that declared the record of that name."""
         return next(plugin.name for plugin in self.report.loaded if name in _names(plugin.records[hook]))
 
     def substitute(self, port: str) -> DeviceType | None:
-        """The type whose simulated device can take the place of any device of a port."""
+        """Return the type whose simulated device can replace any device of a port."""
         types = self.device_types().values()
         return next((one for one in types if one.port == port and one.substitute is not None), None)
 
@@ -175,9 +175,9 @@ class Hooks:
         return self._records("polishd_program_formats")
 
     def surface_readers(self) -> dict[str, SurfaceReader]:
-        """By name, in the order in which they are asked: as in the config, but polishd's own last.
+        """Surface readers by name, in the order in which they are tried: as in the config, with polishd's last.
 
-        Some of polishd's own take any text; whoever loads another reader wants it asked.
+        Some of polishd's readers accept any text, so that other readers must come first.
         """
         others_first = sorted(self.report.loaded, key=lambda plugin: plugin.distribution == OWN)
         return {record.name: record for plugin in others_first for record in plugin.records["polishd_surface_readers"]}
@@ -195,7 +195,7 @@ class Hooks:
         return self._records("polishd_notifiers")
 
     def check_plan(self, plan: Plan, envelope: Envelope) -> list[str]:
-        """All violations, each with its plugin's name; an exception or a wrong answer is one too."""
+        """Return all violations, each with its plugin's name; an exception or a wrong result is a violation."""
         found = []
         for plugin in self._with("polishd_check_plan"):
             try:
@@ -208,7 +208,7 @@ class Hooks:
         return found
 
     def on_event(self, event: Event) -> None:
-        """Tell each plugin; what one raises is logged."""
+        """Pass the event to each plugin; exceptions are logged."""
         for plugin in self._with("polishd_on_event"):
             begun = time.monotonic()
             try:
@@ -216,10 +216,10 @@ class Hooks:
             except Exception:
                 log.exception("plugin %s failed on event %s", plugin.name, event.name)
             if (took := time.monotonic() - begun) > SLOW_S:
-                log.info("plugin %s took %.1f s over event %s", plugin.name, took, event.name)
+                log.info("plugin %s took %.1f s for event %s", plugin.name, took, event.name)
 
     def cli(self, app: Any) -> None:
-        """Let each plugin add commands; what one raises is logged."""
+        """Let each plugin add commands; exceptions are logged."""
         for plugin in self._with("polishd_cli"):
             try:
                 plugin.manager.hook.polishd_cli(app=app)
@@ -238,7 +238,7 @@ def _names(records: Iterable[Any]) -> set[str]:
 
 
 def load_plugins(names: Iterable[str], profiles: Sequence[Path] = ()) -> Hooks:
-    """Load the named plugins, in that order. Broken ones are in ``report.refused``; others go on.
+    """Load the named plugins, in that order. Refused ones are in ``report.refused``; the others are loaded.
 
     ``profiles`` are the user's program dialects.
     """
@@ -246,13 +246,13 @@ def load_plugins(names: Iterable[str], profiles: Sequence[Path] = ()) -> Hooks:
 
 
 def load_own() -> Hooks:
-    """Load all plugins of polishd's own distribution and no others: for commands that take no CELL."""
+    """Load only the plugins of polishd's distribution, for commands without CELL."""
     own = [point for point in importlib.metadata.entry_points(group=GROUP) if _distribution(point) == OWN]
     return _load([point.name for point in own], own)
 
 
 def installed() -> dict[str, list[str]]:
-    """Names of all installed plugins, loaded or not, with the distributions that register them."""
+    """Return the names of all installed plugins, loaded or not, with the distributions that register them."""
     found: dict[str, list[str]] = {}
     for point in importlib.metadata.entry_points(group=GROUP):
         found.setdefault(point.name, []).append(_distribution(point))
@@ -285,7 +285,7 @@ def _load_one(
         return RefusedPlugin(name, f"it is not installed{did_you_mean(name, known)} Installed: {join_words(known)}")
     if len(candidates) > 1:
         owners = join_words(map(_distribution, candidates))
-        return RefusedPlugin(name, f"more than one distribution registers that name ({owners}); uninstall all but one")
+        return RefusedPlugin(name, f"more than one distribution registers that name ({owners}). Uninstall all but one.")
     (point,) = candidates
     try:
         plugin = point.load()
@@ -313,7 +313,7 @@ def _declared(manager: pluggy.PluginManager, hook: str, profiles: Sequence[Path]
     caller = getattr(manager.hook, hook)
     answers = caller(profiles=profiles) if hook == "polishd_program_formats" else caller()
     if len(answers) < len(caller.get_hookimpls()):
-        raise PluginError(f"{hook} returned None; return a list")
+        raise PluginError(f"{hook} returned None. Return a list.")
     for answer in answers:
         if reason := wrong_records(hook, answer):
             raise PluginError(reason)
@@ -322,12 +322,12 @@ def _declared(manager: pluggy.PluginManager, hook: str, profiles: Sequence[Path]
 
 
 def _taken(plugin: LoadedPlugin, others: Sequence[LoadedPlugin]) -> str | None:
-    """The reason to refuse a plugin that declares a name which an earlier one has."""
+    """Return the reason to refuse a plugin that declares a name of an earlier one, or None."""
     for hook, records in plugin.records.items():
         for other in others:
             both = _names(records) & _names(other.records[hook])
             if both:
-                return f"{hook}: plugin {other.name!r} has {join_words(both)} already; load only one of the two"
+                return f"{hook}: plugin {other.name!r} already has {join_words(both)}. Load only one of the two."
     return None
 
 
@@ -349,16 +349,16 @@ def _distribution(point: EntryPoint) -> str:
     return point.dist.name if point.dist else "unknown"
 
 
-# A cell's file with the plugins that it names.
+# A cell file with the plugins that it names.
 
 
 def plugins_of(config: CellConfig) -> Hooks:
-    """The plugins that a config names; what is refused is in the report."""
+    """Load the plugins that a config names; refused ones are in the report."""
     return load_plugins(config.plugins.load, config.dialect_paths)
 
 
 def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Hooks]:
-    """Config and plugins; ConfigError or PluginError where anything that the config names is missing or broken."""
+    """Load config and plugins; ConfigError or PluginError if anything that the config names is missing or invalid."""
     config = load_config(cell, {"process.correction": correction} if correction else None)
     hooks = plugins_of(config)
     hooks.report.require()
@@ -366,7 +366,7 @@ def load_cell(cell: Path, correction: str | None = None) -> tuple[CellConfig, Ho
 
 
 def hooks_of_job(cell: CellConfig, hooks: Hooks, job: CellConfig) -> Hooks:
-    """The cell's plugins for a job that is laid over it: with dialects of its own, where it names any."""
+    """Return the cell's plugins for a job's config, reloaded if the job names other dialects."""
     if job.dialect_paths == cell.dialect_paths:
         return hooks
     found = plugins_of(job)

@@ -18,7 +18,7 @@ MIN_FILL = 0.1
 
 
 def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  any table of three columns would look alike
-    """Only the file's ending tells."""
+    """Recognize the format by the file's extension."""
     return path.suffix.lower() == ".xyz"
 
 
@@ -40,7 +40,7 @@ def read(path: Path) -> SurfaceMap:
     if np.abs(exact - place).max() > OFF_GRID or ny_nx.prod() * MIN_FILL > place.shape[1]:
         raise MapError(f"{path.name}: the samples are not on a square grid of {pitch_mm:g} mm")
     if np.unique(place, axis=1).shape != place.shape:
-        raise MapError(f"{path.name}: two samples share a place")
+        raise MapError(f"{path.name}: two samples have the same position")
     grid_nm = np.full(ny_nx.astype(int), np.nan)
     grid_nm[tuple(place.astype(int))] = height_nm
     return SurfaceMap(grid_nm, pitch_mm, sha256=hashlib.sha256(content).hexdigest(), path=path, format="xyz")

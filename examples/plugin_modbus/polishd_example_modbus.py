@@ -43,11 +43,11 @@ MOST_N = 50.0
 BEAT_S = 0.05
 """Period of samples and heartbeats."""
 ANSWERS_S = 2.0
-"""Of ``make_safe``, beyond the action itself."""
+"""Time of ``make_safe`` beyond the action."""
 
 
 class Reading(NamedTuple):
-    """What the actuator says of itself."""
+    """State that the actuator reports."""
 
     state: str
     force_n: float
@@ -57,10 +57,10 @@ class Reading(NamedTuple):
 
 
 class Actuator:
-    """A ForceActuator. One request at a time; what retracts overtakes the others."""
+    """A ForceActuator. One request at a time; a retraction overtakes the others."""
 
     def __init__(self, address: Tcp | SerialLine, unit: int, times: ActuatorTimes) -> None:
-        """Open nothing."""
+        """Create the closed device."""
         self._link = ModbusLink(address, unit, times.silence_s, refusals={4: "refused: a fault is set"})
         self._queue = RequestQueue(self._link.name)
         self._times = times
@@ -73,11 +73,11 @@ class Actuator:
         return self._times
 
     async def open(self) -> None:
-        """See Device. Also writes how long the actuator may hear nothing."""
+        """See Device. Also write the watchdog time."""
         await self.close()
         await self._queue.start()
         try:
-            await self._ask(self._read, urgent=True)  # it is this device: nothing was written yet
+            await self._ask(self._read, urgent=True)  # the device is verified; nothing was written before
             await self._write(WATCHDOG, round(1000 * self._times.watchdog_s))
         except BaseException:
             await self.close()
@@ -152,7 +152,7 @@ class Actuator:
         await self._write(SET_POINT, 0, urgent=True)
 
     async def make_safe(self) -> None:
-        """See Device. A link that is lost over it is opened again once."""
+        """See Device. A lost link is opened again once."""
         was_open = self._queue.running
         if not was_open:
             await self._queue.start()
@@ -168,12 +168,12 @@ class Actuator:
                 await self.close()
 
     async def _ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
-        """Run ``work`` when it is its turn. A lost link is opened again only by what takes the tool away."""
+        """Run ``work`` in its turn. Only a retraction opens a lost link again."""
 
         async def connected() -> T:
             if not self._link.connected:
                 if not urgent:
-                    raise LinkError(f"{self._link.name}: the link was lost; open it again")
+                    raise LinkError(f"{self._link.name}: the link was lost. Open the device again")
                 await self._link.connect()
             return await work()
 
@@ -183,7 +183,7 @@ class Actuator:
         await self._ask(lambda: self._link.write("holding", register, [value], many=False), urgent=urgent)
 
     async def _beat(self) -> Reading:
-        """Feed the watchdog, and read: the echo tells a fresh answer from a stale one."""
+        """Feed the watchdog, and read: the echo distinguishes a fresh answer from a stale one."""
         self._count = (self._count + 1) & 0xFFFF
         await self._link.write("holding", BEAT, [self._count], many=False)
         return await self._read(self._count)
@@ -191,10 +191,12 @@ class Actuator:
     async def _read(self, count: int | None = None) -> Reading:
         state, force, set_point, position, fault, echo = await self._link.read("input", 0, 6)
         if state >= len(STATES):
-            raise ProtocolError(f"{self._link.name}: state {state} is none of this device: is it another one?")
+            raise ProtocolError(
+                f"{self._link.name}: unknown state {state}. Check that the address is that of this device"
+            )
         if count is not None and echo != count:
             await self._link.distrust()
-            raise ProtocolError(f"{self._link.name}: heard heartbeat {echo} where {count} was written last")
+            raise ProtocolError(f"{self._link.name}: heartbeat {echo}, expected {count}")
         signed = force - 0x10000 if force & 0x8000 else force
         return Reading(STATES[state], signed / 100, set_point / 100, position / 1000, fault)
 
@@ -217,11 +219,11 @@ class Options(BaseModel):
     unit: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus unit number. [1]"""
     watchdog_ms: Annotated[int, Field(ge=100, le=5000)] = 1000
-    """So long without heartbeat the actuator retracts by itself."""
+    """Time without heartbeat after which the actuator retracts."""
 
     @property
     def times(self) -> ActuatorTimes:
-        """As the port wants them."""
+        """As the port expects them."""
         return ActuatorTimes(watchdog_s=self.watchdog_ms / 1000)
 
 

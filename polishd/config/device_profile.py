@@ -419,7 +419,7 @@ class DeviceProfile(TomlDocument):
         return self.with_signs(named)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def identity_values(self) -> tuple[str, ...]:
         """Values by which the device says who it is."""
         named = [name for name in IDENTITY if name in self.quantities]
         return self.with_signs([*named, *(one.when for one in self.expects)])

@@ -1,4 +1,4 @@
-"""What the loader's answers mean. Raises ProtocolError on what the protocol does not have."""
+"""Part loader on numbered lines. Raise ProtocolError for an answer that the protocol does not have."""
 
 from __future__ import annotations
 
@@ -32,38 +32,38 @@ _STATUS = re.compile(r"ST,([0-3]),(\d{1,5}),([\w.~%-]*)", re.ASCII)
 
 
 class LoaderState(IntEnum):
-    """The loader's states, as the wire numbers them."""
+    """States of the loader, with their numbers on the link."""
 
     IDLE = 0
     """Clear of the cell."""
     MOVING = 1
     STOPPED = 2
-    """Amid a change, by an order or its watchdog."""
+    """During a change: stopped by a command or by its watchdog."""
     FAULT = 3
 
 
 @dataclass(frozen=True, slots=True)
 class LoaderReading:
-    """What the loader says of itself."""
+    """Reading of the loader."""
 
     state: LoaderState
     fault: int
     seat: str | None
-    """The part on the seat; None: it is empty."""
+    """The part on the seat; None: the seat is empty."""
 
     @property
     def faults(self) -> str:
-        """Fault bits in words."""
+        """Descriptions of the fault bits."""
         return ", ".join(text for bit, text in FAULTS.items() if self.fault & bit)
 
 
 def load(part_id: str) -> str:
-    """The request to put a part on; any name fits, percent-encoded."""
+    """Return the request to load a part; the name is percent-encoded."""
     return f"LD,{quote(part_id, safe='')}"
 
 
 def status(body: str) -> LoaderReading:
-    """The answer to ``ST?``."""
+    """Parse the answer to ``ST?``."""
     match = _STATUS.fullmatch(body)
     if match is None:
         raise ProtocolError(f"no answer to ST?: {body!r}")
@@ -71,14 +71,14 @@ def status(body: str) -> LoaderReading:
     return LoaderReading(LoaderState(int(state)), int(fault), unquote(seat) or None)
 
 
-# A Loader on numbered lines: an order begins a change, and what the loader says of itself tells its end.
+# A PartLoader on numbered lines: a command begins a change, and the driver polls the loader until the change ends.
 
 LOOK_S = 0.2
-"""Between two looks at a loader that moves; they feed its watchdog, too."""
+"""Period of polling while the loader moves; each poll feeds its watchdog."""
 
 
 class LoaderLine(LineDevice):
-    """A part loader. One that moves and hears nothing more stops by itself."""
+    """A part loader. Its watchdog stops it when it moves and receives no more requests."""
 
     def __init__(self, address: SerialLine | Tcp, times: LoaderTimes | None = None) -> None:
         self._times = times or LoaderTimes()
@@ -91,11 +91,11 @@ class LoaderLine(LineDevice):
         return self._times
 
     async def _look(self) -> LoaderReading:
-        """What it says of itself."""
+        """Poll the loader."""
         return status(await self.ask("ST?"))
 
     async def status(self) -> DeviceStatus:
-        """See Device. Safe means that it stands."""
+        """See Device. Safe means standstill."""
         reading = await self._look()
         return DeviceStatus(
             ready=reading.state is not LoaderState.FAULT,
@@ -105,7 +105,7 @@ class LoaderLine(LineDevice):
         )
 
     async def make_safe(self) -> None:
-        """See Device. Stops it, and reads back that it stands; a link lost over it is opened again once."""
+        """See Device. Stop the loader and confirm standstill; a link that is lost meanwhile is opened again once."""
         self._stops += 1
         await self._rest(self._stop, self._times.stop_s + ANSWERS_S, "could not confirm that the loader stands")
 
@@ -135,13 +135,13 @@ class LoaderLine(LineDevice):
             if reading.state is LoaderState.STOPPED or self._stops != stops:
                 raise DeviceRefused(f"{self.name}: was stopped {over}")
             if time.monotonic() > deadline:
-                raise DeviceFault(f"{self.name}: not done after {self._times.change_s:g} s {over}; look at it")
+                raise DeviceFault(f"{self.name}: not done after {self._times.change_s:g} s {over}. Check the loader.")
             await asyncio.sleep(LOOK_S)
 
     def _require_sound(self, reading: LoaderReading, over: str) -> None:
         if reading.state is LoaderState.FAULT:
             what = f"{self.name}: fault {reading.fault} ({reading.faults}) {over}"
-            raise DeviceFault(f"{what}; look what it holds, clear it, and reset it at the loader")
+            raise DeviceFault(f"{what}. Check which part it holds, clear the fault, and reset it at the loader.")
 
     async def _stop(self) -> None:
         await self._order("STOP")
@@ -162,11 +162,11 @@ class LoaderLineOptions(ConfigSection):
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
     silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = _TIMES.silence_s
-    """No answer for so long: the link is lost."""
+    """Longest time without an answer; then the link is lost."""
     change_s: Annotated[float, Field(gt=0.0, le=3600.0)] = _TIMES.change_s
-    """Longest from the order to take a part off, or to put one on, until it is clear of the cell."""
+    """Longest time from the command to unload or load a part until the loader is clear of the cell."""
     stop_s: Annotated[float, Field(gt=0.0, le=120.0)] = _TIMES.stop_s
-    """Longest from the order to standstill."""
+    """Longest time from the stop command to standstill."""
 
 
 def _build(options: LoaderLineOptions, context: DeviceContext) -> PartLoader:

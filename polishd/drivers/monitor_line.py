@@ -1,4 +1,4 @@
-"""What the box's answers mean. Raises ProtocolError on what the protocol does not have."""
+"""Monitor of the cell's signals on numbered lines. ProtocolError for an answer that the protocol does not have."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NUMBER = re.compile(r"[+-]?\d{1,9}(\.\d{1,6})?", re.ASCII)
 
 
 def listed(number: int, body: str) -> str:
-    """The answer to ``LS?,number``: the name of that signal; empty after the last one."""
+    """Parse the answer to ``LS?,number``: the name of that signal; empty after the last one."""
     start, name = body[: len(f"LS,{number}")], body.removeprefix(f"LS,{number}")
     if start != f"LS,{number}" or not (name == "" or (name[0] == "," and _NAME.fullmatch(name[1:]))):
         raise ProtocolError(f"no answer to LS?,{number}: {body!r}")
@@ -29,22 +29,22 @@ def listed(number: int, body: str) -> str:
 
 
 def parse_value(name: str, body: str) -> float | bool | None:
-    """The answer to ``V?,name``: a number, a state, or None where the box does not know it."""
+    """Parse the answer to ``V?,name``: a number, a state, or None if the box has no value."""
     text = body.removeprefix(f"V,{name},")
     if text == body or not (text in _STATES or _NUMBER.fullmatch(text)):
         raise ProtocolError(f"no answer to V?,{name}: {body!r}")
     return _STATES[text] if text in _STATES else float(text)
 
 
-# A Monitor on numbered lines: asked for each of its signals in turn.
+# A Monitor on numbered lines: the driver polls its signals one after the other.
 
 PERIOD_S = 0.1
-"""Between two rounds of questions."""
+"""Pause between two polls of all signals."""
 MOST_SIGNALS = 200
 
 
 class MonitorLine(ReadOnlyLineDevice):
-    """A box of inputs, which has given each of them a name."""
+    """An input box with named inputs."""
 
     def __init__(self, address: SerialLine | Tcp, times: MonitorTimes | None = None) -> None:
         self._times = times or MonitorTimes()
@@ -86,7 +86,7 @@ class MonitorLineOptions(ConfigSection):
     address: str
     """``serial:PATH?baud=115200`` or ``tcp://host:port``."""
     silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = MonitorTimes().silence_s
-    """No answer for so long: its signals are not known any more."""
+    """Longest time without an answer; then the signals are unknown."""
 
 
 def _build(options: MonitorLineOptions, context: DeviceContext) -> Monitor:

@@ -1,4 +1,4 @@
-"""The simulated voice-coil actuator: behaviour, and the two protocols that it speaks."""
+"""The simulated voice-coil actuator: behavior and the two protocols."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ VENDOR, MODEL, SERIAL, FIRMWARE = "polishd", "simulated VC50", "SIM-V1", "1.0"
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     config, speed = runtime.start.config.actuator, runtime.start.speed
     coil = VoiceCoil(
         rng=stream(runtime.start.seed, "coil"),
@@ -58,7 +58,7 @@ async def main(runtime: SimRuntime) -> None:
 
 
 def _feed(runtime: SimRuntime, coil: VoiceCoil, outlet: FaultyLink) -> Feed:
-    """The receiver of one connection: requests are answered after the time that they take on the line."""
+    """Receive the requests of one connection. Each answer waits for the time that the request takes on the line."""
     config = runtime.start.config.actuator
     registers = CoilRegisters(coil, VENDOR, MODEL, SERIAL, FIRMWARE, runtime.boot_count)
     makers: dict[str, Callable[[], Slave]] = {
@@ -83,7 +83,7 @@ def _feed(runtime: SimRuntime, coil: VoiceCoil, outlet: FaultyLink) -> Feed:
 
 
 def _sheet(runtime: SimRuntime) -> SimDeviceProfile:
-    """The profile, relative to SIM.toml."""
+    """Path of the profile, relative to SIM.toml."""
     config = runtime.start.config
     return SimDeviceProfile.read(config.resolve(config.actuator.profile))
 

@@ -1,4 +1,4 @@
-"""``python -m polishd.sim_backends.batch``: requests on stdin, answers on stdout, until the end of the input."""
+"""``python -m polishd.sim_backends.batch``: read requests from stdin and write answers to stdout until stdin ends."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from polishd.sim_backends.plant.world import World
 from polishd.util.array_stream import Message
 from polishd.util.worker_main import AnswerFunction, serve
 
-# One part under one tool, polished a whole pass at a time: the wire cell's world, fed with blocks.
+# One part under one tool, polished a whole pass at a time: the world of the simulated cell, fed with blocks.
 
 STEP_MM = 0.3
-"""Longest stretch that is worn at one place: a tenth of the spot, which is right to 0.01 nm in a pass of 10 nm RMS."""
+"""Longest stretch that is worn as one contact: a tenth of the spot, accurate to 0.01 nm in a pass of 10 nm RMS."""
 
 
 class BatchPlant:
-    """A plant of its own clock: passes and maps follow at once, and wall time is process time."""
+    """A plant with a private clock: passes and maps follow at once, and wall time is process time."""
 
     def __init__(self, config: SimConfig, seed: int) -> None:
-        """Draw it, as the cell's plant with the same file and seed."""
+        """Draw the plant, as the cell's plant does with the same file and seed."""
         self.config = config
         self.world = World(
             config,
@@ -45,7 +45,7 @@ class BatchPlant:
         self.instrument = hidden_truth.stream(seed, "interferometer")
 
     def polish(self, blocks: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Execute blocks; per block: contact in s, mean force in N and speed in rpm as they truly acted."""
+        """Execute blocks. Return for each block the true contact time in s, mean force in N and mean speed in rpm."""
         begin, end, axis, seconds, force, rpm = _checked(blocks)
         pieces = np.maximum(np.ceil(np.linalg.norm(end - begin, axis=1) / STEP_MM).astype(np.int64), 1)
         block = np.repeat(np.arange(len(seconds)), pieces)
@@ -70,7 +70,7 @@ class BatchPlant:
         return _executed(self.world.acted, len(seconds))
 
     def measure(self, wait_s: float, rotation_deg: float, shift_px: tuple[int, int]) -> FloatArray:
-        """A map so long after the last contact, nm, NaN outside, of the part turned and shifted on the instrument."""
+        """Return a map, nm, NaN outside, ``wait_s`` after the last contact, of the turned and shifted part."""
         if rotation_deg % 90:
             raise BatchRequestError(f"rotation_deg: {rotation_deg:g} is no quarter turn; give 0, 90, 180 or 270")
         self.now_s += wait_s
@@ -82,10 +82,10 @@ class BatchPlant:
         )
 
     def truth(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
-        """What nobody is told: the draws, and the figure, by itself and as its mount holds it."""
+        """Return the hidden draws and the figure, free and as its mount holds it."""
         rms, pv = self.world.part.stats()
         drawn = {"machines": asdict(self.world.hidden), "effects": asdict(self.world.effects)}
-        told = {
+        draws = {
             **drawn,
             "rms_nm": rms,
             "pv_nm": pv,
@@ -93,11 +93,11 @@ class BatchPlant:
             "pitch_mm": self.world.part.grid.pitch_mm,
         }
         height = self.world.part.map_nm()
-        return told, {"height_nm": height, "held_nm": add_mount_errors(height, self.config)}
+        return draws, {"height_nm": height, "held_nm": add_mount_errors(height, self.config)}
 
 
 def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:
-    """A plant of SIM.toml's sections, as JSON."""
+    """Build a plant from the sections of SIM.toml, as JSON."""
     if "cell" in raw:
         raise BatchRequestError("cell: a batch plant reads no files; send the sections of sim.toml")
     config = SimConfig.model_validate(raw)
@@ -141,19 +141,19 @@ def _executed(acted: list[FloatArray], blocks: int) -> dict[str, FloatArray]:
 
 
 def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
-    """Return what a worker states when it is ready, and its answers."""
+    """Return the identity that a worker prints when it is ready, and its request handler."""
     return {}, BatchServer().answer
 
 
 class BatchServer:
-    """Answers of the plant that was requested last."""
+    """Answer requests about the plant that was requested last."""
 
     def __init__(self) -> None:
-        """Without a plant."""
+        """Start without a plant."""
         self._plant: BatchPlant | None = None
 
     def answer(self, message: dict[str, Any], arrays: dict[str, FloatArray]) -> Message:
-        """Return the answer to one request. BatchRequestError where it cannot be served; nothing was done then."""
+        """Return the answer to one request. BatchRequestError where it is invalid; nothing has been done then."""
         verb = message.get("do")
         if verb not in {"new", "polish", "measure", "truth"}:
             raise BatchRequestError(f"do: {verb!r} is none of new, polish, measure, truth")

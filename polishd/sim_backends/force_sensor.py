@@ -1,4 +1,4 @@
-"""The simulated force sensor: a load cell that feels what truly acts, and its amplifier."""
+"""The simulated force sensor: a load cell that measures the true force, and its amplifier."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from polishd.sim_backends.common.numbered_lines import Answer, serve
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 
-# The load cell and its amplifier. Pure of I/O; wall times are handed in.
+# The load cell and its amplifier. Pure of I/O; the caller passes wall times.
 
 MEASURING, TARING, FAULT = range(3)
 OVER_RANGE = 1
 RATE_HZ = 100.0
 TARE_S = 0.2
-"""What it takes the mean of."""
+"""Duration of the mean that gives a zero."""
 
 
 @dataclass(slots=True)
 class LoadCell:
-    """Feels the true force a little later, with an offset, noise and whatever it suffers from."""
+    """Follow the true force with a lag, an offset, noise and the errors of its faults."""
 
     config: SimForceSensorSection
     rng: np.random.Generator
     report: Callable[..., None]
-    """Tells the witness: (event, at_s, **data)."""
+    """Write to the event log: (event, at_s, **data)."""
     now_s: float
     true_n: float = 0.0
-    """What the plant says that acts now."""
+    """The present force, from the plant."""
     count: int = 0
     """Conversions, modulo 65536."""
     reading_n: float = 0.0
-    """Of the last conversion, before its zero is taken off."""
+    """Value of the last conversion, before its zero is subtracted."""
     zero_n: float = 0.0
     fault: int = 0
     _felt: deque[tuple[float, float]] = field(default_factory=deque)
@@ -47,21 +47,21 @@ class LoadCell:
     _drift_n_s: float = 0.0
     _drift_n: float = 0.0
     _frozen: bool = False
-    """It tells the same force, as new conversions."""
+    """It repeats one force as new conversions."""
     _halted: bool = False
-    """It converts no more, and goes on answering."""
+    """It stops converting and continues to answer."""
     _most_n: float = 0.0
-    """It tells no more than that, and does not say so; 0: it tells all of its range."""
+    """It saturates at this force without a report; 0: it covers its whole range."""
     _spike_n: float = 0.0
-    """It reads so much more."""
+    """Offset of its reading."""
     _factor: float = 1.0
-    """It reads that share of what acts, ..."""
+    """Gain of its reading, ..."""
     _offset_n: float = 0.0
-    """... and so much more."""
+    """... and offset."""
     _tare: list[float] | None = None
 
     def suffer(self, fault: FaultSection, on: bool) -> None:
-        """Get into that state, or out of it; what has drifted stays."""
+        """Set or clear that state; drift so far stays."""
         if fault.what == "drift":
             self._drift_n_s = fault.drift_n_s if on else 0.0
         elif fault.what == "freeze":
@@ -81,20 +81,20 @@ class LoadCell:
         return FAULT if self.fault else MEASURING if self._tare is None else TARING
 
     def feel(self, at_s: float, true_n: float) -> None:
-        """Another force acts from then on."""
+        """Take another force from then on."""
         self.step(at_s)
         self.true_n = true_n
         self._felt.append((at_s + self.config.latency_s, true_n))
 
     def tare(self) -> str:
-        """Begin; why not, where it does not."""
+        """Begin to tare; return the refusal, or empty."""
         if self.state != MEASURING:
             return "busy" if self.state == TARING else "fault"
         self._tare = []
         return ""
 
     def step(self, now_s: float) -> None:
-        """Bring it to the present: it converts as often as its rate says."""
+        """Advance to the present: one conversion for each period of its rate."""
         passed = now_s - self.now_s
         self.now_s = now_s
         self._drift_n += self._drift_n_s * passed
@@ -128,7 +128,7 @@ _TEXTS = {"busy": "it tares", "fault": "a fault is set", "unknown": "no such req
 
 
 def answering(cell: LoadCell, boot_count: int) -> Answer:
-    """What it answers to a request."""
+    """Return the answer to a request."""
 
     def answer(request: str) -> str:
         if request == "ID?":
@@ -143,7 +143,7 @@ def answering(cell: LoadCell, boot_count: int) -> Answer:
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     config = runtime.start.config.force_sensor or SimForceSensorSection()
     rng = stream(runtime.start.seed, "force_sensor")
     cell = LoadCell(config, rng, runtime.link.event, time.monotonic())

@@ -1,4 +1,4 @@
-"""The interferometer's process: waits to be asked, waits until the tool is away, drops a MetroPro file."""
+"""The process of the interferometer: waits for a request, waits until the tool is away, writes a MetroPro file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime, replace_file
 
-# What an interferometer makes of true heights: what its reference, its imaging and its mount add. Pure of I/O.
+# The measurement of true heights by an interferometer: errors of its reference, imaging and mount. Pure of I/O.
 
 
 def add_instrument_errors(
@@ -33,10 +33,10 @@ def add_instrument_errors(
     quarters: int = 0,
     shift_px: tuple[int, int] = (0, 0),
 ) -> FloatArray:
-    """A map of the part in the instrument, (rows, columns), NaN where there are no data.
+    """Return a map of the part in the instrument, (rows, columns), NaN where there are no data.
 
-    The part is turned by so many quarters, counter-clockwise, then moved by columns to the right and rows up; what
-    belongs to it goes with it.
+    The part is turned by so many quarters, counterclockwise, then moved by columns to the right and rows up. Errors of
+    the part move with it.
     """
     errors = config.interferometer.errors
     height = _imaged(_shifted(np.rot90(add_mount_errors(true_nm, config), quarters), shift_px), errors)
@@ -56,26 +56,26 @@ def add_instrument_errors(
     elif not errors.mount_turns:
         height = height + _trefoil(height, errors.mount_nm)
     if errors.dead_pixels:
-        dead = stream(0, "dead pixels").random(height.shape) < errors.dead_pixels  # of the camera: always the same
+        dead = stream(0, "dead pixels").random(height.shape) < errors.dead_pixels  # fixed to the camera
         height = np.where(dead, np.nan, height)
     return add_imaging_errors(height, config.interferometer.faults)
 
 
 def add_mount_errors(true_nm: FloatArray, config: SimConfig) -> FloatArray:
-    """True heights with the print of a mount that turns with the part: no map of it, however turned, is without."""
+    """Return true heights with the deformation by a mount that turns with the part: every map contains it."""
     errors = config.interferometer.errors
     held = errors.mount_turns and not errors.mount_anew
     return true_nm + _trefoil(true_nm, errors.mount_nm) if held else true_nm
 
 
 def add_imaging_errors(height_nm: FloatArray, faults: MapFaults) -> FloatArray:
-    """What an instrument with these faults gives for true heights, (rows, columns)."""
+    """Return the map of true heights by an instrument with these faults, (rows, columns)."""
     lying = np.rot90(height_nm[:, ::-1] if faults.mirror else height_nm, faults.rotation_deg // 90)
     return np.asarray(lying * (faults.sign * faults.factor))
 
 
 def _places(height_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """X (right) and y (up) of the samples over the radius of the circle about them."""
+    """Return X (right) and y (up) of the samples over the radius of the circle about them."""
     rows, columns = height_nm.shape
     half = max(rows, columns) / 2.0
     x = (np.arange(columns) - (columns - 1) / 2.0) / half
@@ -84,7 +84,7 @@ def _places(height_nm: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _reference(x: FloatArray, y: FloatArray, errors: InstrumentErrors) -> FloatArray:
-    """Power, astigmatism and coma; each of RMS 1 over the circle, times its size."""
+    """Return power, astigmatism and coma; each of RMS 1 over the circle, times its size."""
     square = x**2 + y**2
     power = np.sqrt(3.0) * (2.0 * square - 1.0)
     twice = 2.0 * np.radians(errors.astigmatism_deg)
@@ -95,13 +95,13 @@ def _reference(x: FloatArray, y: FloatArray, errors: InstrumentErrors) -> FloatA
 
 
 def _trefoil(height_nm: FloatArray, size_nm: float) -> FloatArray:
-    """Three points of a mount, the first below."""
+    """Return the three points of a mount, the first below."""
     x, y = _places(height_nm)
     return np.asarray(size_nm * np.sqrt(8.0) * (3.0 * x**2 * y - y**3), dtype=np.float64)
 
 
 def _imaged(height_nm: FloatArray, errors: InstrumentErrors) -> FloatArray:
-    """As it lies on the camera: each sample shows what is nearer to the middle, where it is magnified."""
+    """Return the image on the camera: a magnified one shows at each sample a point nearer to the center."""
     if not errors.magnification and not errors.distortion:
         return height_nm
     x, y = _places(height_nm)
@@ -115,14 +115,14 @@ def _imaged(height_nm: FloatArray, errors: InstrumentErrors) -> FloatArray:
 
 
 def _whole(height_nm: FloatArray) -> FloatArray:
-    """Without holes: each of them is as the nearest sample that has data."""
+    """Fill holes: each one takes the value of the nearest sample with data."""
     holes = np.isnan(height_nm)
     nearest = ndimage.distance_transform_edt(holes, return_distances=False, return_indices=True)
     return np.asarray(height_nm[tuple(nearest)])
 
 
 def _shifted(height_nm: FloatArray, by_px: tuple[int, int]) -> FloatArray:
-    """Moved by columns to the right and rows up; NaN comes in."""
+    """Move by columns to the right and rows up; NaN enters at the edge."""
     right, up = by_px
     rows, columns = height_nm.shape
     moved = np.full_like(height_nm, np.nan)
@@ -145,14 +145,14 @@ class SimInterferometer:
     rng: np.random.Generator
     maps: asyncio.Queue[FloatArray] = field(default_factory=asyncio.Queue)
     part: str = ""
-    """What is on the seat; empty: the cell's one part."""
+    """Part on the seat; empty: the cell's only part."""
     last: bytes = b""
     numbers: itertools.count[int] = field(default_factory=itertools.count)
     origin: tuple[int, int] = (0, 0)
     pitch_mm: float = 0.5
 
     async def run(self) -> None:
-        """Serve requests for ever."""
+        """Serve requests until cancelled."""
         config = self.runtime.start.config.interferometer
         request = self.folder / config.request_file
         while True:
@@ -160,12 +160,12 @@ class SimInterferometer:
                 text = request.read_bytes()
                 request.unlink()
                 self.runtime.link.event("map_requested", bytes=len(text))
-                self.runtime.link.ask(measure=True, t=time.monotonic())
+                self.runtime.link.send_message(measure=True, t=time.monotonic())
                 await self.drop(await self.maps.get())
             await asyncio.sleep(POLL_S)
 
     async def drop(self, true_nm: FloatArray) -> None:
-        """Measure and write."""
+        """Measure and write the file."""
         start = self.runtime.start
         faults = start.config.interferometer.faults
         measured = add_instrument_errors(true_nm, start.config, self.pitch_mm, self.rng) + self.rng.uniform(
@@ -180,13 +180,13 @@ class SimInterferometer:
         self.runtime.link.event("map_dropped", file=name)
 
     async def write(self, stem: str, data: bytes) -> str:
-        """Write a file in chunks, as slowly as configured; returns its name."""
+        """Write a file in chunks, at the configured speed; return its name."""
         config = self.runtime.start.config.interferometer
         name = f"{stem}-{time.time_ns() // 1_000_000}-{next(self.numbers):04d}.dat"
         while_writing = self.folder / (name + config.temporary_suffix)
         with while_writing.open("wb") as file:
             if config.faults.preallocate:
-                file.truncate(len(data))  # at once: its full length, all zeros
+                file.truncate(len(data))  # the full length at once, all zeros
             step = -(-len(data) // CHUNKS)
             for start in range(0, len(data), step):
                 await asyncio.sleep(config.write_s / CHUNKS)
@@ -201,7 +201,7 @@ class SimInterferometer:
 
 
 def write_artefact(config: SimConfig, path: Path, rng: np.random.Generator) -> None:
-    """One map of the artefact, as this instrument sees it."""
+    """Return one map of the artifact, as this instrument shows it."""
     artefact, pitch = config.interferometer.artefact, config.plant.pitch_mm
     n = 2 * math.ceil(artefact.diameter_mm / 2 / pitch) + 1
     grid = Grid(n, n, pitch)
@@ -231,7 +231,7 @@ def _pack(height_nm: FloatArray, pitch_mm: float, part: str, origin_px: tuple[in
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     folder = runtime.start.state / "maps"
     folder.mkdir(exist_ok=True)
     instrument = SimInterferometer(runtime, folder, stream(runtime.start.seed + runtime.boot_count, "interferometer"))

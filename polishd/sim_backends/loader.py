@@ -14,12 +14,12 @@ from polishd.sim_backends.common.numbered_lines import Answer, serve
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 
-# The loader's behaviour, whatever it is asked in. Pure of I/O; wall times are handed in.
+# The behavior of the loader, for every protocol. Pure of I/O; the caller passes wall times.
 
 IDLE, MOVING, STOPPED, FAULT = range(4)
 JAMMED, DROPPED = 1, 2
 ANOTHER = "OTHER-7"
-"""What it brings where it is told to bring the wrong part."""
+"""Id of the part that it brings with the fault of a wrong part."""
 
 Refusal = Literal["", "part", "occupied", "busy", "fault"]
 
@@ -29,26 +29,26 @@ class LoaderArm:
     """One arm, one seat, and a store of parts."""
 
     report: Callable[..., None]
-    """Tells the witness: (event, at_s, **data)."""
+    """Write to the event log: (event, at_s, **data)."""
     seated: Callable[[str], None]
-    """Tells the plant which part is on the seat now; empty: none."""
+    """Sends the part now on the seat to the plant; empty: none."""
     now_s: float
     seat: str
-    """What truly is on the seat."""
+    """The part that is truly on the seat."""
     store: Sequence[str] = ()
-    """What it can be asked for; empty: anything."""
+    """Parts that it accepts; empty: any."""
     load_s: float = 0.5
     unload_s: float = 0.5
     watchdog_s: float = 5.0
     faults: LoaderFaults = field(default_factory=LoaderFaults)
     fault: int = 0
-    says: str = ""
-    """What its reader says of the seat, where that is not so; else empty."""
+    false_reading: str = ""
+    """A false reading of the seat by its reader; else empty."""
     _order: str | None = None
-    """The part that it puts on; empty: it takes one off. None: nothing is to be done."""
+    """The part that it loads; empty: it unloads. None: idle."""
     _left_s: float = 0.0
     _stopped: bool = False
-    _heard_s: float = 0.0
+    _request_s: float = 0.0
     _struck: set[str] = field(default_factory=set)
 
     @property
@@ -60,11 +60,11 @@ class LoaderArm:
 
     @property
     def seen(self) -> str:
-        """What its reader sees on the seat."""
-        return self.says or self.seat
+        """The part that its reader reports on the seat."""
+        return self.false_reading or self.seat
 
     def load(self, part: str) -> Refusal:
-        """Begin to put a part on, or go on with that; nothing is to be done where it is there."""
+        """Begin or continue to load a part; no motion where it is there."""
         if self.store and part not in self.store:
             return "part"
         if self.seen == part and self._order is None and not self.fault:
@@ -72,7 +72,7 @@ class LoaderArm:
         return self._begin(part, self.load_s, "occupied" if self.seat else "")
 
     def unload(self) -> Refusal:
-        """Begin to take the part off, or what it carries back; an empty seat is done already."""
+        """Begin to unload the part, or return the one that it carries; no motion for an empty seat."""
         if not self.seat and self._order is None and not self.fault:
             return ""
         return self._begin("", self.unload_s, "")
@@ -85,19 +85,19 @@ class LoaderArm:
         return ""
 
     def reset(self) -> None:
-        """Somebody has put things right and pressed the button."""
+        """Confirm at the loader that the fault is cleared."""
         self.fault, self._order = 0, None
 
-    def hear(self) -> None:
-        """A request came."""
-        self._heard_s = self.now_s
+    def on_request(self) -> None:
+        """Take the heartbeat of a request."""
+        self._request_s = self.now_s
 
     def step(self, now_s: float) -> None:
-        """Bring it to the present."""
+        """Advance to the present."""
         passed, self.now_s = now_s - self.now_s, now_s
         if self.state != MOVING:
             return
-        if now_s - self._heard_s > self.watchdog_s:
+        if now_s - self._request_s > self.watchdog_s:
             self.report("watchdog", now_s)
             self.stop()
             return
@@ -125,7 +125,7 @@ class LoaderArm:
             self.report("loader_fault", self.now_s, fault=kind, part=order)
             return
         brought = ANOTHER if order in {*self.faults.wrong, *self.faults.wrong_part_unnoticed} else order
-        self.seat, self.says = brought, order if order in self.faults.wrong_part_unnoticed else ""
+        self.seat, self.false_reading = brought, order if order in self.faults.wrong_part_unnoticed else ""
         self.seated(self.seat)
         self.report("loader_clear", self.now_s, seat=self.seat)
 
@@ -151,10 +151,10 @@ _TEXTS = {
 
 
 def answering(arm: LoaderArm, boot_count: int) -> Answer:
-    """What it answers to a request."""
+    """Return the answer to a request."""
 
     def answer(request: str) -> str:
-        arm.hear()
+        arm.on_request()
         name, _, part = request.partition(",")
         if request == "ID?":
             return f"ID,{IDENTITY},{boot_count}"
@@ -171,11 +171,11 @@ def answering(arm: LoaderArm, boot_count: int) -> Answer:
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     config, speed = runtime.start.config.loader or SimLoaderSection(), runtime.start.speed
     arm = LoaderArm(
         report=runtime.link.event,
-        seated=lambda part: runtime.link.ask(part=part),
+        seated=lambda part: runtime.link.send_message(part=part),
         now_s=time.monotonic(),
         seat=str(runtime.link.welcome["part"]),
         store=config.parts,

@@ -1,4 +1,4 @@
-"""The simulated monitor: a box of inputs, and what happens to them."""
+"""The simulated monitor: a box of inputs, and scripted changes of their values."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from polishd.sim_backends.common.numbered_lines import Answer, serve
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 
-# The inputs' behaviour. Pure of I/O; wall times are handed in.
+# The behavior of the inputs. Pure of I/O; the caller passes wall times.
 
 
 @dataclass(slots=True)
 class Inputs:
-    """Each has its value until something happens to it."""
+    """Each input keeps its value until the script changes it."""
 
     signals: Mapping[str, SimSignal]
     rng: np.random.Generator
     report: Callable[..., None]
-    """Tells the witness: (event, at_s, **data)."""
+    """Write to the event log: (event, at_s, **data)."""
     now_s: float
     touching: bool = False
     """The tool presses on the part."""
     _contact_s: float = 0.0
     _changed_s: dict[str, float] = field(default_factory=dict)
-    """When something happened to which."""
+    """Time of the change of each input."""
 
     def press(self) -> None:
-        """Somebody makes all happen now."""
+        """Start all changes now."""
         for name, simulated in self.signals.items():
             if simulated.changes_to is not None and name not in self._changed_s:
                 self._change(name)
 
     def step(self, now_s: float) -> None:
-        """Bring them to the present."""
+        """Advance the inputs to the present."""
         self._contact_s += now_s - self.now_s if self.touching else 0.0
         self.now_s = now_s
         for name, simulated in self.signals.items():
             if 0.0 < simulated.after_s < self._contact_s and name not in self._changed_s:
                 self._change(name)
 
-    def told(self, name: str) -> str:
-        """As the wire has it: a number, ``ON`` or ``OFF``, or ``?`` where its transducer is broken."""
+    def reading(self, name: str) -> str:
+        """Return a number, ``ON`` or ``OFF``, or ``?`` where the transducer is broken."""
         signal = self.signals[name]
         changed_s = self._changed_s.get(name)
         lasts = changed_s is not None and (signal.duration_s == 0.0 or self.now_s - changed_s < signal.duration_s)
@@ -72,7 +72,7 @@ IDENTITY = "polishd,simulated M1,SIM-M1,1.0"
 
 
 def answering(inputs: Inputs, boot_count: int) -> Answer:
-    """What it answers to a request."""
+    """Return the answer to a request."""
 
     def answer(request: str) -> str:
         kind, _, what = request.partition(",")
@@ -82,14 +82,14 @@ def answering(inputs: Inputs, boot_count: int) -> Answer:
             names = list(inputs.signals)
             return f"LS,{what},{names[int(what)]}" if int(what) < len(names) else f"LS,{what}"
         if kind == "V?" and what in inputs.signals:
-            return f"V,{what},{inputs.told(what)}"
+            return f"V,{what},{inputs.reading(what)}"
         return f"ERR,unknown,no such {'signal' if kind == 'V?' else 'request'}"
 
     return answer
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     config = runtime.start.config.monitor or SimMonitorSection()
     rng = stream(runtime.start.seed, "monitor")
     inputs = Inputs({**SEVEN, **config.signals}, rng, runtime.link.event, time.monotonic())

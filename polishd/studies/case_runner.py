@@ -1,4 +1,4 @@
-"""What a worker does: the rows of a case, with what it keeps from one case to the next."""
+"""Compute the rows of a case in a worker, which keeps loops and the plant from case to case."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from polishd.studies.spots import compute_spots, polish_evenly
 
 Rows = list[dict[str, Any]]
 MOST_LOOPS = 32
-"""That are kept ready: each holds a program and what was computed of it."""
+"""Loops that are kept ready: each holds a program and the results computed from it."""
 UNHURRIED_S = 3600.0
-"""Of a solve: iterations end it."""
+"""Time limit of a solve, s: iterations end it, not the clock."""
 
 
 class CaseRunner:
-    """A worker's: one study, the loops that it has made ready, and one plant."""
+    """Computes the cases of one study in a worker, with its loops and one plant."""
 
     def __init__(self, study: Path) -> None:
         """Read the study's file. ConfigError."""
@@ -47,16 +47,16 @@ class CaseRunner:
             self._plant = None
 
     def require_same(self, case: Case) -> None:
-        """ConfigError where versions or files are no longer those that the case was made of."""
+        """ConfigError where versions or files differ from those of the case."""
         study = self._making.swept.at(case.at)
         if self._making.of(study, case.scenario, case.loop, case.seed) != case.of:
             raise ConfigError(
-                f"{self._making.swept.path}: the study or a file that it names is another here, or was changed since "
-                "the study began; let all workers see the same files, and begin again"
+                f"{self._making.swept.path}: the study or a file that it names differs here, or has changed since "
+                "the study began. Give all workers the same files, and start the study again"
             )
 
     def rows(self, case: Case) -> Rows:
-        """What it comes to: a row of it, or one for each plant and correction, or spot. PolishdError."""
+        """Return the rows of the case: one, or one for each plant and correction, or for each spot. PolishdError."""
         study = self._making.swept.at(case.at)
         if isinstance(study, LoopStudy):
             return [self._job(study, case)]
@@ -64,7 +64,7 @@ class CaseRunner:
 
     def _job(self, study: LoopStudy, case: Case) -> dict[str, Any]:
         if case.scenario is None or case.loop is None or case.seed is None:
-            raise ConfigError(f"case {case.number}: names no scenario, loop and seed; make it anew")
+            raise ConfigError(f"case {case.number}: no scenario, loop and seed. Start the study again")
         loop = self._loop(study, case.loop)
         if self._plant is None:
             self._plant = PlantProcess()
@@ -90,14 +90,14 @@ class CaseRunner:
 
 
 def closed_loop(study: LoopStudy, name: str) -> ClosedLoop:
-    """That loop of the study. ConfigError, ProgramError."""
+    """Return that loop of the study. ConfigError, ProgramError."""
     keys, witness, poses, learns = study.loop(name)
     cell, keys = study.resolve(study.cell), {**UNHURRIED, **keys}
     return ClosedLoop(cell, keys, study.passes, raster=study.raster, witness=witness, poses=poses, learns=learns)
 
 
 def row_of(run: ClosedLoopResult) -> dict[str, Any]:
-    """A job's figures, and what all rows are looked at by."""
+    """The figures of a job, and the columns common to all rows."""
     own = {field.name: getattr(run, field.name) for field in fields(run)}
     for name in ("scenario", "loop", "seed"):  # which the case has
         del own[name]
@@ -106,7 +106,7 @@ def row_of(run: ClosedLoopResult) -> dict[str, Any]:
 
 
 def run_of(row: dict[str, Any]) -> ClosedLoopResult:
-    """The job of a row; of a case that failed, one that never began."""
+    """Return the job of a row; for a failed case, a job that never began."""
     if row["error"]:
         return ClosedLoopResult(
             row["scenario"], row["loop"], row["seed"], ERROR, row["error"], (), 0, (), (), (), (), False, 0.0
@@ -115,7 +115,7 @@ def run_of(row: dict[str, Any]) -> ClosedLoopResult:
 
 
 def _computed(study: Study) -> Iterator[dict[str, Any]]:
-    """Figures alone: maps and profiles are computed again where they are wanted."""
+    """Figures only: maps and profiles are computed again on demand."""
     if isinstance(study, CorrectionsStudy):
         solve = study.solve.model_copy(update={"cpu_limit_s": UNHURRIED_S})
         unhurried = study.model_copy(update={"solve": solve})
@@ -128,56 +128,56 @@ def _computed(study: Study) -> Iterator[dict[str, Any]]:
 
 
 def read(path: Path) -> SurfaceMap:
-    """A map, by the readers of a cell. SurfaceError."""
+    """Read a map with the readers of a cell. SurfaceError."""
     return read_map(path, load_own().surface_readers().values())
 
 
 def _silent(words: str) -> None:
-    """A worker's progress is its cases."""
+    """Progress of a worker: it reports cases only."""
 
 
 def _frozen(value: Any) -> Any:
     return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
 
-# Many jobs in a closed loop: a row of each scenario and loop.
+# Many jobs in a closed loop: one row for each scenario and loop.
 
 
 @dataclass(frozen=True, slots=True)
 class LoopRow:
-    """What a loop came to in a scenario."""
+    """Results of a loop in a scenario."""
 
     scenario: str
     loop: str
     runs: int
     accepted: int
     passes_median: float | None
-    """To tolerance; None where half of the runs or more did not come so far."""
+    """Passes to tolerance; None where half of the runs or more did not reach it."""
     true_rms_nm_median: float | None
-    """At the end, whatever the end; None where half of the runs or more never polished the part."""
+    """RMS at the end, for every outcome; None where half of the runs or more never polished the part."""
     first_pass_nm_median: float | None
     """As measured after the first pass."""
     false_accepts: int
     named_rightly: int
-    """Runs that said of the machine what is wrong with it, and nothing else; nothing, where nothing is."""
+    """Runs that diagnosed exactly the true causes; with no cause, runs without a diagnosis."""
     named: Mapping[str, int]
-    """How many said what, but for what they need not say: names joined by "+", or "nothing"."""
+    """Runs by diagnosis, without the causes that they need not name: names joined by "+", or "nothing"."""
     forecasts: int
-    """Passes of which a map told, ..."""
+    """Passes whose result a map measured, ..."""
     held: int
-    """... and of these, those that left what was expected with a chance of nine in ten."""
+    """... and of these, those whose result lay in the 90 % interval of the prediction."""
     first_forecasts: int
-    """The same of first passes alone, ..."""
+    """The same for first passes alone, ..."""
     first_held: int
-    """... which are expected from what was known before the part."""
+    """... whose prediction uses only data from before the part."""
     ended: Mapping[str, int]
-    """How many ended in which way."""
+    """Runs by outcome."""
     cpu_s_median: float
 
 
 @dataclass(frozen=True, slots=True)
 class LoopRows:
-    """All runs, and the row of each scenario and loop."""
+    """All runs, and one row for each scenario and loop."""
 
     runs: tuple[ClosedLoopResult, ...]
     rows: tuple[LoopRow, ...]
@@ -188,14 +188,14 @@ class LoopRows:
 
 
 def looped(runs: Sequence[ClosedLoopResult], scenarios: Mapping[str, Scenario]) -> LoopRows:
-    """What these jobs came to, in the order of the scenarios."""
+    """Summarize these jobs, in the order of the scenarios."""
     return LoopRows(tuple(runs), tuple(_rows(runs, scenarios)))
 
 
 def _rows(runs: Sequence[ClosedLoopResult], scenarios: Mapping[str, Scenario]) -> Iterator[LoopRow]:
-    """In the scenarios' order."""
+    """Sort by the scenarios' order."""
     order = {name: number for number, name in enumerate(scenarios)}
-    ordered = sorted(runs, key=lambda run: order[run.scenario])  # stable: loops stay in theirs
+    ordered = sorted(runs, key=lambda run: order[run.scenario])  # stable: loops keep their order
     for scenario, some in groupby(ordered, key=lambda run: run.scenario):
         mine = list(some)
         for loop in dict.fromkeys(run.loop for run in mine):

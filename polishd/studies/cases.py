@@ -1,4 +1,4 @@
-"""A case of a study: what is swept there, what decides it, and on which versions it was computed."""
+"""A case of a study: its swept values, the inputs that decide it, and the versions that computed it."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from polishd.config.toml_loader import Location, validation_problems
 from polishd.model.errors import ConfigError
 
 LIBRARIES = ("numpy", "scipy", "numba")
-"""Of which another version may give other last bits."""
+"""Packages whose version may change the last bits of a result."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One of them. It is small: what a worker can compute of it is not in it."""
+    """One case. It is small: it contains nothing that a worker can compute from it."""
 
     number: int
     """In the study's order, from 0."""
     point: int
-    """Of the sweep, from 0: cases of one point differ in scenario, loop and seed only."""
+    """Number of the point of the sweep, from 0: cases of one point differ in scenario, loop and seed only."""
     at: Mapping[str, Any]
-    """By dotted key of the study, what is swept."""
+    """Swept values by dotted key of the study."""
     scenario: str | None
     loop: str | None
     seed: int | None
     of: str
-    """Hash of all that decides it, files and versions too: the same hash, the same figures to the last bit."""
+    """Hash of all inputs, files and versions too: equal hashes give figures equal to the last bit."""
 
 
 @functools.cache
 def versions() -> Mapping[str, str]:
-    """What must be the same where a case is computed as where it was made."""
+    """Versions that must agree between the computer that made a case and the one that computes it."""
     return {
         "polishd": __version__,
         "python": platform.python_version(),
@@ -56,15 +56,15 @@ def versions() -> Mapping[str, str]:
 
 
 def made_of(*parts: tuple[Mapping[str, Any], Path]) -> str:
-    """Hash of parts of a study, the files that they name beside their folders, and the versions."""
-    told = hashlib.sha256(json.dumps(versions()).encode())
+    """Hash parts of a study, the files that they name relative to their folders, and the versions."""
+    digest = hashlib.sha256(json.dumps(versions()).encode())
     for part, folder in parts:
-        told.update(json.dumps(part, sort_keys=True, default=str).encode())
+        digest.update(json.dumps(part, sort_keys=True, default=str).encode())
         for name in _texts(part):
             path = folder / name
             if len(name) < 256 and path.is_file():
-                told.update(hashlib.sha256(path.read_bytes()).digest())
-    return told.hexdigest()[:16]
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
 
 
 def _texts(value: Any) -> Iterator[str]:
@@ -81,39 +81,41 @@ def _texts(value: Any) -> Iterator[str]:
 # The cases of a study: every point of its sweep with each scenario, loop and seed, all of them checked.
 
 UNHURRIED = {"dwell.cpu_limit_s": 3600.0, "dwell.cross_check": ""}
-"""What loops of a study have otherwise than any cell: iterations end a solve, not the clock, or a busy machine would
-give other figures; and no second opinion, unless a loop asks for one."""
+"""Differences between loops of a study and a cell: iterations end a solve, not the clock, since a busy machine would
+give other figures; and there is no cross-check unless a loop sets one.
+"""
 
 OF_PEOPLE = {"web", "opcua", "shop", "notify", "certificate"}
-"""Sections of a cell's file that say who watches it and who is told: no figure depends on them."""
+"""Sections of a cell's file about observers and notifications: no figure depends on them."""
 
 
 class CaseFactory:
-    """What cases of one study are made of: files are read once, cells' configurations kept."""
+    """Makes the cases of one study: files are read once, and cells' configurations are kept."""
 
     def __init__(self, swept: SweepStudy) -> None:
         self.swept = swept
         self._kept: dict[str, Any] = {}
 
     def of(self, study: Study, scenario: str | None, loop: str | None, seed: int | None) -> str:
-        """Hash of all that decides a case. ConfigError where the loop's cell or the plant cannot be."""
+        """Return the hash of all inputs of a case. ConfigError where the loop's cell or the plant is invalid."""
         if not isinstance(study, LoopStudy) or scenario is None or loop is None:
             return made_of((study.model_dump(mode="json", exclude={"title"}), study.base_dir))
         cell, sim = study.resolve(study.cell), study.resolve(study.plant)
         keys, witness, poses, learns = study.loop(loop)
         belief = self._once(
-            f"belief {loop} {_said(keys)}",
+            f"belief {loop} {_key_text(keys)}",
             lambda: made_of((self.config(study, loop).model_dump(mode="json", exclude=OF_PEOPLE), cell.parent)),
         )
         plant = self._once(
-            f"plant {scenario} {_said(study.plant_with)}", lambda: made_of((self.plant(study, scenario), sim.parent))
+            f"plant {scenario} {_key_text(study.plant_with)}",
+            lambda: made_of((self.plant(study, scenario), sim.parent)),
         )
         own = {"passes": study.passes, "raster": study.raster, "witness": witness, "poses": poses, "learns": learns}
         named = {"scenario": scenario, "loop": loop, "seed": seed, "belief": belief, "plant": plant}
         return made_of((own, cell.parent), (named, cell.parent))
 
     def config(self, study: LoopStudy, loop: str) -> CellConfig:
-        """The cell's as that loop has it. ConfigError at the loop's or the sweep's key."""
+        """Return the cell's configuration for that loop. ConfigError at the loop's or the sweep's key."""
         keys = study.loop(loop)[0]
         try:
             return load_config(study.file_of("cell"), {**UNHURRIED, **keys})
@@ -121,7 +123,7 @@ class CaseFactory:
             raise _of_loop(error, study, loop) from error
 
     def plant(self, study: LoopStudy, scenario: str) -> dict[str, Any]:
-        """SIM.toml's sections, the study's laid over them, and the scenario's. ConfigError."""
+        """Return SIM.toml's sections, overlaid by the study's and the scenario's. ConfigError."""
         path = study.file_of("plant")
         sections, _ = self._once(f"sim {path}", lambda: load_plant(path))
         whole = deepcopy(dict(sections))
@@ -134,7 +136,7 @@ class CaseFactory:
         return found
 
     def check_plant(self, study: LoopStudy, scenario: str) -> None:
-        """ConfigError, with the place of the scenario's, the study's or the sweep's key, where no plant is so."""
+        """ConfigError at the scenario's, the study's or the sweep's key, where the plant is invalid."""
         path, wrong = study.file_of("plant"), self.scenarios(study)[scenario]
         _, source = self._once(f"sim {path}", lambda: load_plant(path))
         stands: list[tuple[Location, Location]]
@@ -156,7 +158,7 @@ class CaseFactory:
 
 
 def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
-    """SIM.toml's sections with a scenario's laid over them; what a plant without wires has no use for is left out."""
+    """Overlay SIM.toml's sections with a scenario's; drop those that a plant without links does not use."""
     whole = deepcopy(dict(plant))
     whole.pop("fault", None)
     overlay(whole, {name: dict(keys) for name, keys in scenario.plant.items()})
@@ -164,9 +166,9 @@ def laid_over(plant: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
 
 
 def cases_of(swept: SweepStudy) -> list[Case]:
-    """All of them in order: points, of a point seeds, of a seed scenarios, of these loops.
+    """Return all cases in order: points, of a point seeds, of a seed scenarios, of these loops.
 
-    So whatever is compared stands side by side, on the same draws. ConfigError for all that cannot be, a line each.
+    Cases that are compared are neighbors, with the same draws. ConfigError with one line for each invalid one.
     """
     making, cases = CaseFactory(swept), list[Case]()
     require_all(swept, lambda number, point: cases.extend(_at(making, swept.at(point), number, point, len(cases))))
@@ -174,7 +176,7 @@ def cases_of(swept: SweepStudy) -> list[Case]:
 
 
 def _at(making: CaseFactory, study: Study, number: int, point: Point, first: int) -> Iterator[Case]:
-    """Those of one point."""
+    """Return the cases of one point."""
     if not isinstance(study, LoopStudy):
         yield Case(first, number, point, None, None, None, making.of(study, None, None, None))
         return
@@ -189,7 +191,7 @@ def _at(making: CaseFactory, study: Study, number: int, point: Point, first: int
 
 
 def _of_loop(error: ConfigError, study: LoopStudy, loop: str) -> ConfigError:
-    """What a cell's loader says of a key that is a loop's own, with the place of that key in the study."""
+    """Return a cell loader's message about a loop's key, with the location of that key in the study."""
     lines = []
     for line in str(error).splitlines():
         _, found, rest = line.partition(" (override): ")
@@ -200,5 +202,5 @@ def _of_loop(error: ConfigError, study: LoopStudy, loop: str) -> ConfigError:
     return ConfigError("\n".join(lines))
 
 
-def _said(value: Any) -> str:
+def _key_text(value: Any) -> str:
     return json.dumps(value, sort_keys=True, default=str)

@@ -1,4 +1,4 @@
-"""One job in a closed loop, without wires: the recipe's own steps, and a plant with its errors for a machine."""
+"""One job in a closed loop without links: the recipe's own steps, and a plant with errors as the machine."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ from polishd.process.robot import motion
 from polishd.programs.make import own_program
 from polishd.studies.plant_client import PlantProcess
 
-# The instrument's own error in a loop: found by turning and shifting the part before its first pass.
+# The instrument's error in a loop: the part is turned and shifted before its first pass to measure it.
 
 WHOLE = 1e-6
-"""Of a sample, by which a shift may be off one: the plant moves a part by whole ones."""
+"""Tolerance of a shift, parts of a sample: the plant moves a part by whole samples."""
 
 
 def with_absolute_test(recipe: Recipe, plant: PlantProcess, poses: Poses) -> Recipe:
-    """The recipe with the system map that those poses tell. BadMap, ComputeError."""
+    """Return the recipe with the system map from those poses. BadMap, ComputeError."""
     lay = [PartPose(*pose) for pose in poses]
     maps = [_measured(recipe, plant, pose) for pose in lay]
     pitch_mm = maps[0].grid.pitch_mm
@@ -72,7 +72,7 @@ def with_absolute_test(recipe: Recipe, plant: PlantProcess, poses: Poses) -> Rec
 
 
 def with_certified_map(recipe: Recipe) -> Recipe:
-    """By which the true part is judged: without an instrument, and without what the certificate says it leaves out."""
+    """The map treatment for the true part: without an instrument and the terms that the certificate removes."""
     without = recipe.accept == "bound_without_power"
     part = recipe.part.model_copy(update={"alignment": "power"}) if without else recipe.part
     job = recipe.job.model_copy(update={"accept_by": "figure"})
@@ -88,36 +88,36 @@ def _measured(recipe: Recipe, plant: PlantProcess, pose: PartPose) -> SurfaceMap
     return apply_profile(SurfaceMap(height, pitch_mm), recipe.instrument)
 
 
-# A spot on a witness part: what a shop measures of its tool before it polishes the first part.
+# A spot on a witness part: a shop measures its tool with it before it polishes the first part.
 
 Measure = Callable[[], SurfaceMap]
-"""The part that lies there, as the instrument gives it."""
+"""The witness part, as the instrument measures it."""
 DEPTH_NM = 300.0
-"""How deep the spot is meant to be: a thousand times an interferometer's noise."""
+"""Nominal depth of the spot: a thousand times an interferometer's noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class WitnessSpot:
-    """A spot that was polished at rest at one point of a program, and what it removed."""
+    """A spot that was polished at rest at one point of a program, and its removal."""
 
     point: Program
     """That point alone."""
     tif: MeasuredTif
 
     def rate(self, recipe: Recipe) -> EstimatesInUse:
-        """The belief with which the recipe's model removes the volume of this spot."""
+        """Return the estimate with which the recipe's model removes the volume of this spot."""
         first = steps.initial_estimates(recipe)
         modelled = float(_modelled_nm_s(recipe, self.point).sum()) * recipe.grid_mm**2 * 60e-6  # mm^3/min
         rate = Estimate(volume_mm3_min(self.tif) / modelled)
         return replace(first, removal=replace(first.removal, rate=rate))
 
     def spot(self, recipe: Recipe, measured_tif: RemovalModel) -> Recipe:
-        """The recipe with this spot as its TIF, at each point as it was here."""
+        """Return the recipe with this spot as its TIF, the same at each point."""
         return replace(recipe, model=measured_tif, tif=self.tif)
 
 
 def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measure: Measure) -> WitnessSpot:
-    """A spot in the middle of the part that lies there, as the program would have it. ComputeError."""
+    """Make a spot in the middle of the witness part, with the values of the program. ComputeError."""
     middle = int(np.argmin(np.hypot(*steps.in_part_frame(recipe, program).end_mm[:, :2].T)))
     point = _at_rest(program, middle)
     seconds = np.array([DEPTH_NM / float(_modelled_nm_s(recipe, point).max())])
@@ -132,7 +132,7 @@ def polish_witness(plant: PlantProcess, recipe: Recipe, program: Program, measur
 
 
 def _at_rest(program: Program, point: int) -> Program:
-    """One timed point of it, where its block ends."""
+    """Return one timed point of it, at the end of its block."""
     one = slice(point, point + 1)
     end = program.end_mm[one]
     along = {name: getattr(program, name)[one] for name in ("line", "block", "axis", "time_s", "feed_mm_min")}
@@ -140,31 +140,31 @@ def _at_rest(program: Program, point: int) -> Program:
 
 
 def _modelled_nm_s(recipe: Recipe, point: Program) -> FloatArray:
-    """(ny, nx) nm/s of that one point, by the recipe's model as it begins."""
+    """Return (ny, nx) nm/s of that point, by the recipe's initial model."""
     return steps.effect_of(recipe, point, steps.process_grid(recipe)).removal_nm(np.ones(1))
 
 
 def _with_data(before: SurfaceMap, after: SurfaceMap) -> tuple[slice, slice]:
-    """Rows and columns that both have some of: what lies about the part is no untouched surface."""
+    """Return rows and columns with data in both: the area around the part is no untouched surface."""
     both = before.valid & after.valid
     rows, columns = (np.flatnonzero(both.any(axis=axis)) for axis in (1, 0))
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 _Executed = tuple[PlanResult, FloatArray, FloatArray]
-"""A pass's plan, and (n,) s of each timed point: as it lasted, and as force and speed acted."""
+"""A pass's plan, and (n,) s of each timed point: as executed, and with the true force and speed."""
 GATE = "gate"
-"""How a loop ends that the gate stopped."""
+"""Outcome of a loop that the removal check stopped."""
 TOOL = "tool"
-"""... or a finding of the tool."""
+"""Outcome of a loop that a finding about the tool stopped."""
 ERROR = "error"
 TOUCH_S = 1200.0
-"""Most contact of a first touch, as of `polishd calibrate first-touch`."""
+"""Longest contact of a first touch, as of `polishd calibrate first-touch`."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedLoopResult:
-    """One job: what it saw, and what was true."""
+    """One job: its measurements, and the truth."""
 
     scenario: str
     loop: str
@@ -172,37 +172,37 @@ class ClosedLoopResult:
     ended: str
     """An outcome of a job, or "gate", "tool" or "error"."""
     why: str
-    """In words; empty for an outcome."""
+    """Reason of the outcome; empty where the outcome explains itself."""
     named: tuple[str, ...]
-    """What it said of its machine: causes (`polishd.model.estimates`), and kinds of findings."""
+    """Its diagnosis of the machine: causes (`polishd.model.estimates`), and kinds of findings."""
     passes: int
     rms_nm: tuple[float, ...]
-    """As measured, one a map, in the clear aperture."""
+    """Measured RMS in the clear aperture, one for each map."""
     predicted_nm: tuple[float, ...]
-    """RMS that each plan expected after its pass."""
+    """Predicted RMS after each pass."""
     true_rms_nm: tuple[float, ...]
-    """Of the part, at each of those maps, aligned as the map is."""
+    """True RMS of the part at each of those maps, aligned as the map is."""
     came_nm: tuple[tuple[float, float, float], ...]
-    """Of each pass that the gate passed: between which two RMS the map was expected, and what it showed."""
+    """For each pass that the removal check accepted: predicted interval of the RMS, and measured RMS."""
     true_fits: bool
-    """Whether the part truly fits its tolerance at the end."""
+    """True if the part is truly within its tolerance at the end."""
     cpu_s: float
-    """Of this process; the plant's own is not in it."""
+    """CPU time of this process, without the plant's."""
 
     @property
     def accepted(self) -> bool:
-        """The loop says that the part fits."""
+        """True if the loop accepts the part."""
         return self.ended == Outcome.IN_TOLERANCE.value
 
     @property
     def falsely_accepted(self) -> bool:
-        """It says so, and the part does not."""
+        """True if the loop accepts a part that is out of tolerance."""
         return self.accepted and not self.true_fits
 
 
 @dataclass(slots=True)
 class _Account:
-    """What a run leaves, as it goes."""
+    """Results of a run, collected during it."""
 
     rms_nm: list[float] = field(default_factory=list)
     predicted_nm: list[float] = field(default_factory=list)
@@ -212,25 +212,25 @@ class _Account:
     true_fits: bool = False
 
     def name(self, names: Iterable[str]) -> None:
-        """What was said of the machine, each once."""
+        """Causes and findings, each once."""
         self.named += dict.fromkeys(name for name in names if name not in self.named)
 
-    def told(self, shown: PassIndicators) -> None:
-        """What a pass left, beside what was expected of it."""
+    def add_pass(self, shown: PassIndicators) -> None:
+        """Add a pass's result and its prediction."""
         if shown.expected_nm is not None and shown.seen_nm is not None:
             self.came_nm.append((*shown.expected_nm, shown.seen_nm))
 
 
 @dataclass(frozen=True, slots=True)
 class _Ended:
-    """How a job ended."""
+    """Return the result of the job."""
 
     how: str
     why: str = ""
 
 
 class ClosedLoop:
-    """A cell's job against one plant after the other."""
+    """Runs a cell's job against one plant after the other."""
 
     def __init__(
         self,
@@ -245,8 +245,8 @@ class ClosedLoop:
     ) -> None:
         """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError.
 
-        ``witness``: what it begins with of a spot that the same machine made on another part; ``poses``: of the part in
-        maps before the first pass, which tell the instrument's own error; ``learns``: it takes over what passes teach.
+        ``witness``: start value from a spot that the same machine made on another part; ``poses``: of the part in maps
+        before the first pass, which measure the instrument's error; ``learns``: update the estimates after each pass.
         """
         self.config = load_config(cell, {"dwell.cross_check": "", **overrides})
         self.passes = passes
@@ -265,7 +265,7 @@ class ClosedLoop:
     def run(
         self, plant: PlantProcess, sections: Mapping[str, Any], scenario: str, loop: str, seed: int
     ) -> ClosedLoopResult:
-        """One job, from its first map to its end, on the plant that this seed draws from SIM.toml's sections."""
+        """Run one job, from its first map to its end, on the plant that this seed draws from SIM.toml's sections."""
         begun_s, account = time.process_time(), _Account()
         plant.new(sections, seed)
         try:
@@ -294,12 +294,12 @@ class ClosedLoop:
         )
 
     def _begun(self, plant: PlantProcess, account: _Account) -> tuple[Recipe, EstimatesInUse | _Ended]:
-        """The recipe and what is believed before the first pass: as configured, or of a witness. ComputeError."""
+        """Return the recipe and the estimate before the first pass: as configured, or from a witness. ComputeError."""
         recipe = self._recipe
         if self._witness == "touch":
             touch = replace(self._job(_remembering(as_touched(recipe)), plant, account), program=self._touch)
             taught, why = touch.teach()
-            account.rms_nm.clear()  # of the witness part
+            account.rms_nm.clear()  # on the witness part
             account.true_rms_nm.clear()
             if why:
                 return recipe, _Ended(GATE, why)
@@ -315,7 +315,7 @@ class ClosedLoop:
 
     @cached_property
     def _touch(self) -> Program:
-        """Chosen once, for all machines: nothing is known of them before. ComputeError, ConfigError."""
+        """Choose it once for all machines, before anything is known of them. ComputeError, ConfigError."""
         return plan_touch(self.config, as_touched(self._recipe), WANTED, TOUCH_S).program
 
     def _job(self, recipe: Recipe, plant: PlantProcess, account: _Account) -> _Job:
@@ -324,7 +324,7 @@ class ClosedLoop:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """One of them, on one plant."""
+    """One job on one plant."""
 
     recipe: Recipe
     program: Program
@@ -336,7 +336,7 @@ class _Job:
     account: _Account
 
     def polish(self, believed: EstimatesInUse) -> _Ended:
-        """As the daemon's cycle (``polishd.daemon.cycle``): measure, learn, judge, solve, plan, run."""
+        """As the daemon's cycle (``polishd.daemon.cycle``): measure, estimate, accept, solve, plan, run."""
         recipe, program, account = self.recipe, self.program, self.account
         series, shown = PassSeries(""), []
         before: MeasureResult | None = None
@@ -345,12 +345,12 @@ class _Job:
             surface = self._measured(before)
             found: tuple[Finding, ...] = ()
             if before is not None and last is not None:
-                surface, taught, why = self._learned(before, surface, last, believed)
+                surface, taught, why = self._updated(before, surface, last, believed)
                 if why:
                     return _Ended(GATE, why)
                 believed = taught.believed if self.learns else believed
                 if taught.shown is not None:
-                    account.told(taught.shown)
+                    account.add_pass(taught.shown)
                     shown.append(taught.shown)
                     series = extend_series(series, taught.shown)
                     found = findings(series, shown, recipe.finding)
@@ -374,18 +374,18 @@ class _Job:
             before = surface
 
     def teach(self) -> tuple[LearnResult, str]:
-        """One pass as programmed: what it teaches of the machine, and why a person must look first; "" else."""
+        """Run one pass; return the update from it, and why the operator must check it first; "" else."""
         recipe, program, before = self.recipe, self.program, self._measured(None)
         believed = steps.initial_estimates(recipe)
         solved = dwell_step.solve(recipe, program, before, believed)
         plan = steps.rewrite(recipe, program, solved, program.name)
         last = (self._planned(plan, solved, before), *self._execute(plan))
-        return self._learned(before, self._measured(before), last, believed)[1:]
+        return self._updated(before, self._measured(before), last, believed)[1:]
 
-    def _learned(
+    def _updated(
         self, before: MeasureResult, surface: MeasureResult, last: _Executed, believed: EstimatesInUse
     ) -> tuple[MeasureResult, LearnResult, str]:
-        """The map that counts, what it taught, and why a person must look before the next pass; "" else."""
+        """Return the map that counts, its estimates, and why the operator must check before the next pass; "" else."""
         taught, account = self._taught(before, surface, last, believed), self.account
         if taught.doubted:
             surface, again, moves = self._again(surface)
@@ -397,14 +397,14 @@ class _Job:
         return surface, taught, taught.verdict.stop
 
     def map(self, wait_s: float = 0.0) -> SurfaceMap:
-        """As the instrument gives the part so long after now."""
+        """Measure the part so long after now."""
         return self._map(*self.plant.measure(wait_s), len(self.account.rms_nm))
 
     def _again(self, surface: MeasureResult) -> tuple[MeasureResult, tuple[Diagnosis, ...], tuple[Diagnosis, ...]]:
-        """As the daemon: maps until two agree; the last one, what they named, and what the tolerance does not bear."""
+        """As the daemon: measure until two maps agree; return the last, its causes, and what the tolerance omits."""
         account, seen, moves = self.account, list[Diagnosis](), tuple[Diagnosis, ...]()
         for _ in range(residual_diagnosis.MAPS):
-            account.rms_nm.pop()  # of the same measurement, the last map counts
+            account.rms_nm.pop()  # of one measurement, the last map counts
             account.true_rms_nm.pop()
             before, surface = surface, self._measured(surface, residual_diagnosis.WAIT_S)
             last, moves = moves, steps.map_changes(self.recipe, before, surface)
@@ -414,12 +414,12 @@ class _Job:
         return surface, residual_diagnosis.largest_of_each_cause(seen), steps.harmful_changes(self.recipe, moves)
 
     def _measured(self, before: MeasureResult | None, wait_s: float = 0.0) -> MeasureResult:
-        """The part as the instrument gives it so long after now, and on the account what it truly is."""
+        """Measure the part so long after now, and book its true figure."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
         surface = steps.condition(recipe, self.map(wait_s), masks, lay)
-        told, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
-        true = self._map(height, float(told["pitch_mm"]), -1)
+        truth, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
+        true = self._map(height, float(truth["pitch_mm"]), -1)
         truly = steps.condition(with_certified_map(recipe), true, surface.masks)
         account.rms_nm.append(surface.figure_nm)
         account.true_rms_nm.append(truly.figure_nm)
@@ -451,7 +451,7 @@ class _Job:
         return PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
 
     def _execute(self, plan: Plan) -> tuple[FloatArray, FloatArray]:
-        """(n,) seconds of each timed point as the plant's own robot moves, and as force and speed acted."""
+        """(n,) seconds of each timed point, as the plant's robot moves, and with the true force and speed."""
         recipe, program, plant = self.recipe, plan.program, self.plant
         machines = plant.truth()[0]["machines"]
         robot = replace(
@@ -467,12 +467,12 @@ class _Job:
 
 
 def _remembering(recipe: Recipe) -> Recipe:
-    """Its model keeps its last answer: a pass is solved, planned and learned from with one effect."""
+    """Its model caches its last effect: solve, plan and estimate of a pass use one effect."""
     model = recipe.model
     last: list[tuple[tuple[Any, ...], RemovalAnswer]] = []
 
     def effect(request: RemovalRequest) -> RemovalAnswer:
-        key = (request.grid, request.correction, request.rate, request.beliefs)  # a loop has one program
+        key = (request.grid, request.correction, request.rate, request.beliefs)  # a loop has only one program
         if not last or last[0][0] != key:
             last[:] = [(key, model.effect(request))]
         return last[0][1]
@@ -483,7 +483,5 @@ def _remembering(recipe: Recipe) -> Recipe:
 def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:
     program = steps.read_program(recipe, config.program_path)
     if program.encoding == "dwell":
-        raise ComputeError(
-            f"{program.name}: dwells at rest; a loop is studied with a program whose feeds are its times"
-        )
+        raise ComputeError(f"{program.name}: dwells at rest. Study a loop with a program whose feeds are its times")
     return program

@@ -1,6 +1,6 @@
-"""Every correction against two plants: the paper's simulation (section IV-D, Table IV), and what it leaves out.
+"""Every correction against two plants: the paper's simulation (section IV-D, Table IV), and effects that it omits.
 
-A correction is what the solver believes of the spot. The plant is what the spot does: "eq49" is eq. 49 alone,
+A correction is the solver's model of the spot. The plant is the true spot: "eq49" is eq. 49 alone,
 ``R0 diag(gamma)``; "depth" has at each point the spot of that point's own depth.
 """
 
@@ -29,9 +29,9 @@ from polishd.studies.scene import ReadMap, Scene, make_scene, start_surface
 
 PLANTS = ("eq49", "depth")
 TIE = 2e-3
-"""Two residuals tie that differ by less than this share of the uncorrected one."""
+"""Two residuals tie if they differ by less than this share of the uncorrected one."""
 
-Tell = Callable[[str], None]
+ProgressReport = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +42,20 @@ class CorrectionRow:
     correction: str
     pv_nm: float
     rms_nm: float
-    """About zero: the piston, removal that is wrong everywhere, counts."""
+    """About zero: the piston, a removal error common to all samples, counts."""
     rms_piston_removed_nm: float
     band_rms_nm: float
     """Of the periods above the study's ``lsf_period_mm``."""
     dwell_s: float
     wall_s: float
-    """To make the solver's model and to solve."""
+    """CPU time to make the solver's model and to solve."""
     residual_nm: FloatArray = field(repr=False)
-    """(ny, nx) what is left, NaN outside the aperture."""
+    """(ny, nx) residual, NaN outside the aperture."""
 
 
 @dataclass(frozen=True, slots=True)
 class CorrectionComparison:
-    """All rows of a study, and what its tables and pictures are made of."""
+    """All rows of a study, and the data of its tables and pictures."""
 
     scene: Scene
     start: ConditionedMap
@@ -65,24 +65,26 @@ class CorrectionComparison:
     notes: tuple[str, ...]
 
     def row(self, plant: str, correction: str) -> CorrectionRow:
-        """That row."""
+        """Return that row."""
         return next(row for row in self.rows if (row.plant, row.correction) == (plant, correction))
 
     def ratio(self, plant: str, correction: str) -> float:
-        """Its RMS, piston kept, over the uncorrected one's."""
+        """Return its RMS, piston kept, over the uncorrected one's."""
         return self.row(plant, correction).rms_nm / self.row(plant, "none").rms_nm
 
 
-def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> CorrectionComparison:
-    """Solve each correction once, and let both plants remove with its dwell. ConfigError for what cannot be."""
-    tell("compliance along the path")
+def compare_corrections(
+    study: CorrectionsStudy, read: ReadMap, report_progress: ProgressReport
+) -> CorrectionComparison:
+    """Solve each correction once, and let both plants remove with its dwell. ConfigError for invalid input."""
+    report_progress("compliance along the path")
     scene, start = make_scene(study), start_surface(study, read)
     target = removal_wanted(start, study.solve.unreachable)
-    notes = [*scene.notes, f"mean removal asked for: {target[start.metric_mask].mean():.2f} nm"]
+    notes = [*scene.notes, f"mean target removal: {target[start.metric_mask].mean():.2f} nm"]
     spots = believed_spots(scene, study.process.depth_exponent)
     dwell, wall = {}, {}
     for correction, spot in spots.items():
-        tell(f"solving: {correction}")
+        report_progress(f"solving: {correction}")
         begin = time.perf_counter()
         effect = solver_model(scene, correction, spot)
         with study.blame("solve"):
@@ -92,7 +94,7 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
         dwell[correction] = solution.time_s if spot.divide_by is None else solution.time_s / spot.divide_by
         wall[correction] = time.perf_counter() - begin
         notes += [f"{correction}: {words}" for words in solver_notes(effect, solution.certificate)]
-    tell("removing with both plants")
+    report_progress("removing with both plants")
     plants = {"eq49": scene.effect(spots["linear"]), "depth": scene.effect(spots["exact"])}
     rows = [
         make_row(
@@ -111,7 +113,7 @@ def compare_corrections(study: CorrectionsStudy, read: ReadMap, tell: Tell) -> C
 
 
 def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
-    """What each correction believes of the spot; "calibrated" takes one at the mean pose for all, uncorrected."""
+    """Return each correction's model of the spot; "calibrated" takes the spot at the mean pose for all points."""
     gamma = scene.gamma
     calibrated = tif_at_point("none", gamma, reference=float(gamma.mean()))
     corrected: list[Correction] = ["pointwise", "linear", "power", "exact"]
@@ -120,14 +122,14 @@ def believed_spots(scene: Scene, exponent: float) -> dict[str, CorrectedSpot]:
 
 
 def solver_model(scene: Scene, correction: str, spot: CorrectedSpot) -> Effect:
-    """The solver's effect; "exact" is a sum of convolutions where points are nodes: not the plant's own matrix."""
+    """Return the solver's effect; "exact" is a sum of convolutions where points are nodes, not the plant's matrix."""
     if correction == "exact" and scene.on_nodes:
         return scene.convolutions(scene.grid, scene.on_part(spot)[0])
     return scene.effect(spot)
 
 
 def removal_wanted(start: ConditionedMap, unreachable: float) -> FloatArray:
-    """(ny, nx) nm: the surface, raised so far that nothing needs to be added; 0 outside the aperture."""
+    """(ny, nx) nm: the surface, raised until no material is missing; 0 outside the aperture."""
     piston = choose_piston_nm(start.height_nm, start.solve_mask, np.zeros(start.grid.shape), unreachable)
     return np.where(start.solve_mask, start.height_nm + piston, 0.0)
 
@@ -148,7 +150,7 @@ def dwell_problem(
 
 
 def solver_notes(effect: Effect, certificate: OptimalityCertificate) -> list[str]:
-    """What a reader of the table must know of a solution."""
+    """Return facts about a solution for the notes of the table."""
     found = []
     if isinstance(effect, ConvolutionEffect):
         found.append(
@@ -161,7 +163,7 @@ def solver_notes(effect: Effect, certificate: OptimalityCertificate) -> list[str
 
 
 def make_row(residual_nm: FloatArray, start: ConditionedMap, lsf_period_mm: float, **named: Any) -> CorrectionRow:
-    """Figures of a (ny, nx) residual; ``named`` are the row's other fields."""
+    """Return the figures of a (ny, nx) residual; ``named`` are the row's other fields."""
     inside = residual_nm[start.metric_mask]
     return CorrectionRow(
         **named,
@@ -174,7 +176,7 @@ def make_row(residual_nm: FloatArray, start: ConditionedMap, lsf_period_mm: floa
 
 
 def tie_words(compared: CorrectionComparison) -> list[str]:
-    """Where pointwise and linear tie, and why, a sentence a plant."""
+    """Say where pointwise and linear tie, and why, one sentence for each plant."""
     words = []
     for plant in PLANTS:
         pointwise, linear = compared.row(plant, "pointwise").rms_nm, compared.row(plant, "linear").rms_nm
@@ -189,10 +191,10 @@ def tie_words(compared: CorrectionComparison) -> list[str]:
     return words
 
 
-# What the paper prints, for the tables: Li, Cheng, Fan, Pang.
+# Figures printed in the paper, for the tables: Li, Cheng, Fan, Pang.
 
 TABLE_IV: dict[str, tuple[float, float]] = {"none": (16.81, 5.62), "pointwise": (8.91, 4.95), "linear": (6.57, 1.93)}
-"""Reconstruction error by correction, PV and RMS in nm: without compensation, its competitor (ref. 17), its own."""
+"""Reconstruction error by correction, PV and RMS in nm: without compensation, with ref. 17, with its own method."""
 
 TABLE_IV_RATIO = 0.343
 """Its own RMS over that without compensation."""

@@ -1,4 +1,4 @@
-"""The engine of studies: cases go to an executor in tasks, and what comes of each is handed on as it comes."""
+"""The engine of studies: cases go to an executor in tasks, and each result is yielded as soon as it exists."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from polishd.model.errors import ConfigError
 from polishd.studies.cases import Case, versions
 from polishd.studies.workers import CaseResult, StudyWorkerPool, Task
 
-# Where tasks run: processes of this machine, or a Dask cluster. Both work a task with the same child process.
+# Executors of tasks: processes of this machine, or a Dask cluster. Both run a task with the same child process.
 
 ANSWER_S = 60.0
-"""In which a scheduler answers."""
+"""Time in which a scheduler must answer."""
 
-LOST = "the cluster was lost; begin the study again, and it goes on where it was"
+LOST = "the cluster was lost. Start the study again; it continues where it was"
 
 
 class Executor(Protocol):
-    """What the engine wants of one."""
+    """The interface of an executor."""
 
     @property
     def slots(self) -> int:
@@ -34,13 +34,13 @@ class Executor(Protocol):
 
     @property
     def lack(self) -> str:
-        """In words, for whom is waited and what to do; empty where somebody works."""
+        """Return the reason of the wait and a remedy; empty where a worker runs."""
 
     def submit(self, task: Task) -> Future[list[CaseResult]]:
-        """Run it somewhere. Its future raises ConfigError where it is refused, anything else where it was lost."""
+        """Run a task. Its future raises ConfigError where the task is refused, and another error where it was lost."""
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Enter the context."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -49,21 +49,21 @@ class Executor(Protocol):
 
 
 class LocalPool:
-    """Processes of this machine: a thread each, which waits for its own."""
+    """Processes of this machine: each thread waits for one process."""
 
     def __init__(self, workers: int | None = None) -> None:
-        """``workers`` None: one a core that this process may use."""
+        """``workers`` None: one for each core that this process may use."""
         self.slots = workers or len(os.sched_getaffinity(0))
-        self.lack = ""  # they are started as they are wanted
+        self.lack = ""  # they are started on demand
         self._children = StudyWorkerPool()
         self._threads = ThreadPoolExecutor(self.slots, thread_name_prefix="study")
 
     def submit(self, task: Task) -> Future[list[CaseResult]]:
-        """To the next process that is free."""
+        """Run it in the next free process."""
         return self._threads.submit(self._children.run, task)
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Enter the context."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -75,52 +75,53 @@ class LocalPool:
 
 
 class DaskCluster:
-    """Workers of a Dask scheduler, of which each thread has a child process, as here."""
+    """Workers of a Dask scheduler. Each of their threads has a child process, as in the local pool."""
 
     def __init__(self, address: str) -> None:
-        """Connect; workers may come later. ConfigError where Dask is not installed, or nobody answers."""
+        """Connect; workers may come later. ConfigError where Dask is not installed, or no scheduler answers."""
         try:
             from distributed import Client
         except ImportError as error:
             raise ConfigError(
-                "--scheduler: distributed is not installed; install polishd[dask], or leave it out and compute here"
+                "--scheduler: distributed is not installed. Install polishd[dask], or omit the option"
             ) from error
         connect: Any = Client
         try:
             self._client = connect(address, timeout=ANSWER_S)
         except (OSError, TimeoutError, ValueError) as error:
             raise ConfigError(
-                f"--scheduler {address}: no scheduler answers: {error}; start one with `dask scheduler`, or mend that"
+                f"--scheduler {address}: no scheduler answers: {error}. "
+                "Start one with `dask scheduler`, or correct the address"
             ) from error
         self._address = address
         self._executor = self._client.get_executor(pure=False)
 
     @property
     def slots(self) -> int:
-        """Threads of all workers that are there now."""
+        """Threads of all connected workers."""
         try:
             return sum(self._client.nthreads().values())
-        except (OSError, TimeoutError) as error:  # the scheduler is gone, and Dask calls again in vain
+        except (OSError, TimeoutError) as error:  # the scheduler is gone, and Dask would call again without effect
             raise ConfigError(LOST) from error
 
     @property
     def lack(self) -> str:
-        """That it has no worker, if so: what was given to it waits at the scheduler."""
+        """Return a message if it has no worker: submitted tasks wait at the scheduler."""
         if self.slots:
             return ""
         return f"no worker at {self._address}: start one with `dask worker {self._address} --nthreads 1`"
 
     def submit(self, task: Task) -> Future[list[CaseResult]]:
-        """To some worker; where it is lost, Dask gives the task to another."""
+        """Run it on any worker; after a loss Dask gives the task to another."""
         future: Future[list[CaseResult]] = self._executor.submit(run_there, task)
         return future
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Enter the context."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Take back what waits, and hang up; the cluster goes on."""
+        """Withdraw waiting tasks and disconnect; the cluster continues."""
         self._executor.shutdown(wait=False)
         self._client.close()
 
@@ -129,31 +130,31 @@ _there = StudyWorkerPool()
 
 
 def run_there(task: Task) -> list[CaseResult]:
-    """The cases of a task on a worker of a cluster. ConfigError where they are refused."""
+    """Compute the cases of a task on a worker of a cluster. ConfigError where they are refused."""
     return _there.run(task)
 
 
 TASK_S = 1.0
-"""Work of a task, about: of less, the wire would be most of it."""
+"""Approximate work of a task: in a shorter one the link would take most of the time."""
 MOST_CASES = 500
 TRIES = 2
 WITHIN_S = 600.0
-"""Wall time of a case, unless told."""
+"""Default time limit of a case, wall time."""
 LOOK_S = 5.0
-"""After so long without an answer it is asked whether anybody works."""
+"""After so long without a result, check for workers."""
 
 
 @dataclass(frozen=True, slots=True)
 class FinishedCase:
-    """A case, and what came of it at its last try."""
+    """A case, and the result of its last try."""
 
     case: Case
     answer: CaseResult
     tries: int
 
 
-def _silent(words: str) -> None:
-    """Nobody waits at a terminal."""
+def _silent(_message: str) -> None:
+    """Discard the message."""
 
 
 def work(
@@ -161,18 +162,19 @@ def work(
     cases: Sequence[Case],
     executor: Executor,
     within_s: float = WITHIN_S,
-    tell: Callable[[str], None] = _silent,
+    report_wait: Callable[[str], None] = _silent,
 ) -> Iterator[FinishedCase]:
-    """Each as it ends, in any order. One that fails, hangs or kills its worker is tried once more, and by itself.
+    """Yield each result as its case ends, in any order.
 
-    Where nobody is there to work, ``tell`` is told once, and once more when somebody has come.
-    ConfigError where a worker refuses them all: other versions, other files.
+    A case that fails, hangs or kills its worker is retried once, alone. Without a worker, ``report_wait`` gets one
+    message, and one more when a worker has come.
+    ConfigError where a worker refuses all cases: other versions, other files.
     """
     whole = Task(str(study), uuid.uuid4().hex, versions(), within_s, ())
     fresh, again = deque(cases), deque[Case]()
     running: dict[Future[list[CaseResult]], tuple[Case, ...]] = {}
     tried: dict[int, int] = {}
-    pace, lack = _Pace(), _Lack(executor, tell)
+    pace, lack = _Pace(), _Lack(executor, report_wait)
     while fresh or again or running:
         while (fresh or again) and len(running) < max(executor.slots, 1):  # one more would wait behind a long one
             some = (again.popleft(),) if again else tuple(fresh.popleft() for _ in range(min(pace.cases, len(fresh))))
@@ -190,33 +192,33 @@ def work(
 
 
 def _answers(future: Future[list[CaseResult]], cases: Sequence[Case]) -> list[CaseResult]:
-    """Of each case; where the whole task was lost, why."""
+    """Return the result of each case; where the whole task was lost, the reason."""
     try:
         return future.result()
     except ConfigError:
         raise
     except CancelledError as error:
         raise ConfigError(LOST) from error
-    except Exception as error:  # noqa: BLE001  a cluster loses tasks in ways of its own
+    except Exception as error:  # noqa: BLE001  a cluster loses tasks with many exception types
         return [CaseResult(case.number, error=f"its task was lost: {type(error).__name__}: {error}") for case in cases]
 
 
 class _Lack:
-    """Says once that there is nobody to work, and once that there is again."""
+    """Report once that no worker is there, and once that one has come."""
 
-    def __init__(self, executor: Executor, tell: Callable[[str], None]) -> None:
-        self._executor, self._tell, self._told = executor, tell, False
+    def __init__(self, executor: Executor, report_wait: Callable[[str], None]) -> None:
+        self._executor, self._report_wait, self._reported = executor, report_wait, False
 
     def look(self, ended: Collection[object]) -> None:
-        """After each wait. Asked only when nothing has ended for a while, or that was told before."""
+        """Check after each wait, only if no case has ended for a while or the lack was reported before."""
         lack = "" if ended else self._executor.lack
-        if bool(lack) != self._told:
-            self._told = not self._told
-            self._tell(f"{lack}; it is waited for" if lack else "a worker is there; the study goes on")
+        if bool(lack) != self._reported:
+            self._reported = not self._reported
+            self._report_wait(f"{lack}; the study waits" if lack else "a worker is there; the study continues")
 
 
 class _Pace:
-    """How many cases are a task's work, by those that have ended."""
+    """Return the number of cases in a task, from the times of those that have ended."""
 
     def __init__(self) -> None:
         self._spent_s, self._ended = 0.0, 0

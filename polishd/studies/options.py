@@ -1,4 +1,4 @@
-"""Options of ``polishd study``, apart so that the command line is read fast."""
+"""Options of ``polishd study``, in a separate file so that the command line starts fast."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from typer import Option
 
 @dataclass(frozen=True, slots=True)
 class StudyOptions:
-    """What of a study is run, and where it goes."""
+    """Selection and output of a study."""
 
     out: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder for tables and pictures; cases are kept there, it goes on.")
+        Path | None,
+        Option(metavar="DIR", help="Folder for tables, pictures and finished cases; a later run continues there"),
     ] = None
-    limit: Annotated[int | None, Option(min=1, metavar="N", help="Of many cases the first N.")] = None
+    limit: Annotated[int | None, Option(min=1, metavar="N", help="Compute only the first N cases")] = None
     workers: Annotated[
-        int | None, Option(min=1, metavar="K", help="Processes of this machine; default: one a core.")
+        int | None, Option(min=1, metavar="K", help="Processes of this machine (default: one for each core)")
     ] = None
     scheduler: Annotated[
-        str | None, Option(metavar="tcp://HOST:PORT", help="Compute on this Dask cluster instead (extra: dask).")
+        str | None, Option(metavar="tcp://HOST:PORT", help="Compute on this Dask cluster instead (extra: dask)")
     ] = None
     case_s: Annotated[
-        float, Option("--case-s", min=1.0, metavar="S", help="Longest that a case may take; it is killed then.")
+        float, Option("--case-s", min=1.0, metavar="S", help="Time limit of a case; it is killed then")
     ] = 600.0

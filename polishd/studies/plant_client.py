@@ -14,23 +14,23 @@ TARGET = "polishd.sim_backends.batch:start_worker"
 
 
 class PlantProcess:
-    """One process, which polishes one part after the other. Used in a ``with``."""
+    """One process, which polishes one part after the other. Use it in a ``with``."""
 
     def __init__(self) -> None:
         """Start it."""
         self._worker = WorkerProcess(TARGET, "the plant")
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Enter the context."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
+        """End the process."""
         self._worker.end()
 
     @property
     def alive(self) -> bool:
-        """Whether it takes another request."""
+        """True if it takes another request."""
         return self._worker.alive
 
     def new(self, config: Mapping[str, Any], seed: int) -> None:
@@ -42,9 +42,9 @@ class PlantProcess:
 
         Args:
             program: with n timed points.
-            seconds: (n,) how long each lasts.
-            force_n: as commanded, the same for all.
-            rpm: as commanded, the same for all.
+            seconds: (n,) duration of each.
+            force_n: set point, the same for all.
+            rpm: set point, the same for all.
 
         Returns:
             (n,) arrays by name: ``contact_s``, and the true ``force_n`` and ``rpm``.
@@ -56,9 +56,9 @@ class PlantProcess:
     def measure(
         self, wait_s: float = 0.0, angle_deg: float = 0.0, shift_px: tuple[int, int] = (0, 0)
     ) -> tuple[FloatArray, float]:
-        """(ny, nx) heights, nm, as the instrument gives them, NaN where it has none; and their pitch, mm.
+        """Return (ny, nx) heights, nm, as the instrument measures them, NaN without data; and their pitch, mm.
 
-        The part is turned counter-clockwise by quarters, then moved by columns to the right and rows up.
+        The part is turned counterclockwise by quarters, then moved by columns to the right and rows up.
         """
         columns, rows = shift_px
         pose = {"rotation_deg": angle_deg, "shift_columns": columns, "shift_rows": rows}
@@ -66,7 +66,7 @@ class PlantProcess:
         return arrays["height_nm"], float(answer["pitch_mm"])
 
     def truth(self, *, held: bool = False) -> tuple[dict[str, Any], FloatArray]:
-        """What was drawn, and (ny, nx) the part's true heights, nm; ``held``: as its mount has it."""
+        """Return the draws, and (ny, nx) true heights of the part, nm; ``held``: deformed by its mount."""
         answer, arrays = self._request({"do": "truth"})
         return answer, arrays["held_nm" if held else "height_nm"]
 

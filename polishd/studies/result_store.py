@@ -1,4 +1,4 @@
-"""What came of a study's cases: a journal that grows by a line a case, merged into one Parquet file at the end."""
+"""The results of a study's cases: a journal with one line for each case, merged into one Parquet file at the end."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from polishd.util.files import require_writable, unwritable_message, whole_file,
 JOURNAL = "cases.jsonl"
 TABLE = "cases.parquet"
 OVER = "over."
-"""Before the name of a column that is a key of the study."""
+"""Prefix of the name of a column that is a key of the study."""
 OWN = ("case", "point", "scenario", "loop", "seed", "error", "tries", "wall_s", "cpu_s", "of", "versions")
-"""Columns that every case has, beside what is swept, and its figures."""
+"""Columns of every case, beside its swept values and its figures."""
 NAMED = ("scenario", "loop", "seed")
 STUDY = b"polishd.study"
-"""In the file's metadata: the study's text."""
+"""Key of the file's metadata: the study's text."""
 Row = dict[str, Any]
 Rows = list[Row]
 
 
 class ResultStore:
-    """What is known of a study's cases, by what decides each."""
+    """Known results of a study's cases, by the hash of their inputs."""
 
     def __init__(self, folder: Path | None) -> None:
-        """``folder`` None: nothing is kept. ConfigError for a line that is none of ours; a torn last one is dropped."""
+        """``folder`` None: nothing is stored. ConfigError for an invalid line; an incomplete last one is dropped."""
         self._folder = folder
         self._known: dict[str, Rows] = {}
         if folder is not None:
@@ -37,16 +37,16 @@ class ResultStore:
             self._known = _known(folder)
 
     def find(self, case: Case) -> Rows | None:
-        """Its rows, where it was computed of the same; one that ended in an error is tried again."""
+        """Return the rows of a case with the same inputs; a case that ended in an error is tried again."""
         rows = self._known.get(case.of)
         return None if rows is None or rows[0]["error"] else rows
 
     def count_others(self, cases: Iterable[Case]) -> int:
-        """Of the cases that are known, those of another study, or of this one as it was."""
+        """Count known cases of another study, or of an earlier version of this one."""
         return len(self._known.keys() - {case.of for case in cases})
 
     def add(self, done: FinishedCase) -> Rows:
-        """One more case, on the disk at once."""
+        """Add a case, on the disk at once."""
         rows = _rows(done)
         self._known[done.case.of] = rows
         if self._folder is not None:
@@ -59,7 +59,7 @@ class ResultStore:
         return rows
 
     def merge(self, cases: Iterable[Case], study: str) -> None:
-        """All that is known of these cases as one table, written whole; then the journal goes."""
+        """Write all results of these cases as one table, whole; then remove the journal."""
         if self._folder is None:
             return
         rows = [row for case in cases for row in self.table(case)]
@@ -72,23 +72,23 @@ class ResultStore:
             raise unwritable_message(self._folder / TABLE, error) from error
 
     def table(self, case: Case) -> Rows:
-        """Rows as the table has them: number and parameters are the study's of now."""
+        """Return rows for the table: number and parameters are those of the present study."""
         return [laid(case, row) for row in self._known.get(case.of, ())]
 
 
 def make_folder(out: Path | None) -> None:
-    """Before anything is computed: one that cannot be made is no news for the end. ConfigError."""
+    """Create the folder before any case is computed: an error there must not come at the end. ConfigError."""
     if out is None:
         return
     try:
         out.mkdir(parents=True, exist_ok=True)
         require_writable(out)
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be made: {error.strerror}; name a folder with --out") from error
+        raise ConfigError(f"{out}: cannot create the folder: {error.strerror}. Name a folder with --out") from error
 
 
 def laid(case: Case, row: Mapping[str, Any]) -> Row:
-    """A row with the case's number, point and parameters in front."""
+    """Return a row with the case's number, point and parameters in front."""
     at = {OVER + key: _plain(value) for key, value in case.at.items()}
     named = {name: getattr(case, name) for name in NAMED}
     known = {name: value for name, value in row.items() if name not in {"case", "point", *NAMED}}
@@ -96,16 +96,16 @@ def laid(case: Case, row: Mapping[str, Any]) -> Row:
 
 
 def read_table(folder: Path) -> tuple[Rows, str]:
-    """All rows of a study's folder, whether it came to its end or not, and the study's text. ConfigError."""
+    """Return all rows of a study's folder, complete or not, and the study's text. ConfigError."""
     found = _known(folder)
     if not found:
-        raise ConfigError(f"{folder}: has neither {TABLE} nor {JOURNAL}; name the --out of a study")
+        raise ConfigError(f"{folder}: no {TABLE} and no {JOURNAL}. Name the --out of a study")
     rows = [row for rows in found.values() for row in rows]
     return sorted(rows, key=lambda row: int(row["case"])), _text(folder / TABLE)
 
 
 def _known(folder: Path) -> dict[str, Rows]:
-    """By what decides it, the rows of each case; the journal's are newer than the table's."""
+    """Return the rows of each case by its hash; the journal's are newer than the table's."""
     return dict(_of_table(folder / TABLE)) | dict(_of_journal(folder / JOURNAL))
 
 
@@ -123,7 +123,7 @@ def _rows(done: FinishedCase) -> Rows:
 
 
 def _plain(value: Any) -> Any:
-    """A swept value as a column holds it: a range of no width is a number."""
+    """Return a swept value for a column: a range of no width is a number."""
     if isinstance(value, list) and len(value) == 2 and value[0] == value[1]:
         return value[0]
     return value
@@ -141,7 +141,7 @@ def _write(path: Path, rows: Sequence[Row], study: str) -> None:
 
 
 def _column(values: list[Any]) -> Any:
-    """An Arrow array; of values that are of several kinds, their JSON."""
+    """Return an Arrow array; values of several types are stored as JSON."""
     import pyarrow as pa
 
     try:
@@ -160,7 +160,7 @@ def _of_table(path: Path) -> Iterator[tuple[str, Rows]]:
         rows = parquet.read_table(path).to_pylist()
     except (OSError, pa.ArrowInvalid) as error:
         raise ConfigError(
-            f"{path}: cannot be read: {error}; move it away, or name another folder with --out"
+            f"{path}: cannot read: {error}. Move the file away, or name another folder with --out"
         ) from error
     by_case: dict[str, Rows] = {}
     for row in rows:
@@ -177,13 +177,13 @@ def _text(path: Path) -> str:
 
 
 def _mend(path: Path) -> None:
-    """Take off what was half written when a study was killed: the next line begins anew."""
+    """Remove an incomplete line after a killed study: the next line starts clean."""
     if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
         write_atomic(path, content[: content.rfind(b"\n") + 1])
 
 
 def _of_journal(path: Path) -> Iterator[tuple[str, Rows]]:
-    """A torn last line, or one that is being written, is not taken."""
+    """Read whole lines; an incomplete last line is omitted."""
     if not path.exists():
         return
     lines = path.read_text(encoding="utf-8").split("\n")[:-1]
@@ -195,6 +195,6 @@ def _of_journal(path: Path) -> Iterator[tuple[str, Rows]]:
                 raise KeyError("rows")
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
-                f"{path}:{number}: is no case of a study; take the line out, or name another folder with --out"
+                f"{path}:{number}: no case of a study. Remove the line, or name another folder with --out"
             ) from error
         yield of, rows

@@ -22,7 +22,7 @@ from polishd.rendering.terminal import json_line, say, stderr, stdout
 from polishd.studies import pictures, summary_output, tables
 from polishd.studies.case_runner import closed_loop, looped, read, run_of
 from polishd.studies.cases import Case, cases_of
-from polishd.studies.corrections import Tell, compare_corrections
+from polishd.studies.corrections import ProgressReport, compare_corrections
 from polishd.studies.engine import DaskCluster, Executor, LocalPool, work
 from polishd.studies.options import StudyOptions
 from polishd.studies.result_store import ResultStore, Rows, make_folder, read_table
@@ -31,33 +31,33 @@ from polishd.studies.summary import summarise
 from polishd.studies.summary_output import summary_pictures, summary_tables
 from polishd.util.files import write_atomic
 
-# A study of many cases, from its file to all rows: those known are taken, the others are computed.
+# A study of many cases, from its file to all rows: known cases are reused, the others are computed.
 
 
 @dataclass(frozen=True, slots=True)
 class StudyRows:
-    """All rows of a study's cases, in their order."""
+    """All rows of a study's cases, in order."""
 
     cases: Sequence[Case]
     rows: Rows
 
 
 def run_cases(swept: SweepStudy, options: StudyOptions) -> StudyRows:
-    """Check all cases, compute those that are not known, and write ``cases.parquet`` whole, whatever ends it.
+    """Check all cases, compute the unknown ones, and write ``cases.parquet`` whole, also after an error.
 
-    ConfigError, ProgramError before anything is computed.
+    ConfigError, ProgramError before any case is computed.
     """
     of_study = cases_of(swept)
     cases = of_study[: options.limit]
     first = swept.at(swept.points[0])
     if isinstance(first, LoopStudy):
-        for name in first.controllers:  # its program and its plugins, too
+        for name in first.controllers:  # with its program and its plugins
             with first.blame(f"controllers.{name}"):
                 closed_loop(first, name)
-    make_folder(options.out)  # what is refused leaves none
+    make_folder(options.out)  # a refused study leaves none
     kept = ResultStore(options.out)
     if others := kept.count_others(of_study):
-        _say(f"{options.out}: {others} cases there are of other files, keys or versions than now, and are not taken")
+        _say(f"{options.out}: {others} cases in this folder have other files, keys or versions, and are not reused")
     todo = [case for case in cases if kept.find(case) is None]
     try:
         if todo:
@@ -71,12 +71,12 @@ def run_cases(swept: SweepStudy, options: StudyOptions) -> StudyRows:
 
 
 def _say(words: str) -> None:
-    """A line above the progress."""
+    """Print a line above the progress."""
     stderr.print(words, markup=False, highlight=False, soft_wrap=True)
 
 
 def executor_of(options: StudyOptions) -> Executor:
-    """Where it runs, as asked. ConfigError where that cluster cannot be reached."""
+    """Make the configured executor. ConfigError where the cluster is unreachable."""
     return LocalPool(options.workers) if options.scheduler is None else DaskCluster(options.scheduler)
 
 
@@ -94,15 +94,15 @@ TABLE = "table.json"
 
 @dataclass(frozen=True, slots=True)
 class StudyResult:
-    """What a study came to."""
+    """Results of a study."""
 
     rows: list[dict[str, Any]] | dict[str, Any]
     tables: list[Table]
     notes: list[str]
     pictures: Mapping[str, pictures.Draw]
-    """By file name."""
+    """Pictures by file name."""
     pages: Mapping[str, str] = field(default_factory=dict)
-    """Text, likewise."""
+    """Text pages by file name."""
 
 
 def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
@@ -112,7 +112,7 @@ def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
     many = swept.is_sweep or isinstance(first, LoopStudy)
     for name in ("limit", "workers", "scheduler"):
         if getattr(options, name) is not None and not many:
-            raise typer.BadParameter(f'--{name} goes with a [sweep] and with kind = "loop"; leave it out')
+            raise typer.BadParameter(f'--{name} goes with a [sweep] and with kind = "loop"; remove it')
     if many:
         answer = _of_many(first, run_cases(swept, options).rows, is_sweep=swept.is_sweep)
     else:
@@ -123,7 +123,7 @@ def study_verb(study: Path, options: StudyOptions, *, as_json: bool) -> None:
 
 
 def show_verb(folder: Path, *, as_json: bool) -> None:
-    """What a study has left in its folder, as far as it came: tables or JSON, and pictures beside. ConfigError."""
+    """Show the results in a study's folder so far: tables or JSON, and pictures. ConfigError."""
     rows, text = read_table(folder)
     title = str(tomllib.loads(text).get("title", "")) if text else ""
     make_folder(folder)
@@ -146,24 +146,24 @@ def _give(answer: StudyResult, out: Path | None, *, as_json: bool) -> None:
         )
 
 
-def _answer(study: Study, tell: Tell) -> StudyResult:
+def _answer(study: Study, report_progress: ProgressReport) -> StudyResult:
     if isinstance(study, CorrectionsStudy):
-        compared = compare_corrections(study, read, tell)
+        compared = compare_corrections(study, read, report_progress)
         rows = [facts_of(row) for row in compared.rows]
         shown = tables.correction_tables(study.title, compared)
         return StudyResult(rows, shown, tables.correction_notes(compared), pictures.of_corrections(compared))
     if isinstance(study, SpotsStudy):
-        spots = compute_spots(study, tell)
+        spots = compute_spots(study, report_progress)
         shown = tables.spot_tables(study, spots)
         return StudyResult([row.as_json() for row in spots], shown, tables.spot_notes(spots), pictures.of_spots(spots))
-    assert isinstance(study, PassesStudy)  # noqa: S101  (loops are many)
-    polished = polish_evenly(study, tell)
+    assert isinstance(study, PassesStudy)  # noqa: S101  loops have many cases
+    polished = polish_evenly(study, report_progress)
     shown = [tables.passes_table(study, polished)]
     return StudyResult([polished.as_json()], shown, list(polished.notes), pictures.of_passes(polished))
 
 
 def _of_many(study: Study, rows: Rows, *, is_sweep: bool) -> StudyResult:
-    """Of a sweep what its rows say together; of loops alone a row of each scenario and loop."""
+    """Return for a sweep the summary of its rows; for loops alone one row for each scenario and loop."""
     if is_sweep or not isinstance(study, LoopStudy):
         return _summed(study.title, rows)
     found = looped([run_of(row) for row in rows], study.all_scenarios())
@@ -189,4 +189,4 @@ def _write(out: Path, answer: StudyResult) -> None:
             write_atomic(out / name, text.encode())
         write_atomic(out / TABLE, (json.dumps(json.loads(json_line(answer.rows)), indent=1) + "\n").encode())
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be written to: {error.strerror}; name a folder with --out") from error
+        raise ConfigError(f"{out}: cannot write: {error.strerror}. Name a folder with --out") from error

@@ -23,21 +23,21 @@ from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot.compliance import depth_ratio, path_compliance
 from polishd.process.toolpath.apertures import on_optic, tool_axes
 
-# The surface that a study starts from: drawn from a seed, or a measured map.
+# The initial surface of a study: drawn from a seed, or a measured map.
 
 WAVES = 96
-"""Plane waves of a drawn surface: enough for heights that are nearly normal."""
+"""Plane waves of a drawn surface: enough for nearly normal heights."""
 
 ReadMap = Callable[[Path], SurfaceMap]
 
 
 def study_grid(study: PartStudy, pitch_mm: float) -> Grid:
-    """The grid of this pitch over the aperture, its extension and a margin: samples and dwell points share it."""
+    """Return the grid of this pitch over the aperture, its extension and a margin, for samples and dwell points."""
     return process_grid(study.outline(), pitch_mm, max(MARGIN_MM, study.path.extension_mm))
 
 
 def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
-    """The surface on the process grid with its masks; ConfigError where the map cannot be used."""
+    """Return the surface on the process grid with its masks; ConfigError where the map is invalid."""
     part, wanted = study.part, study.surface
     if wanted.rms_nm is not None and wanted.period_mm is not None:
         return drawn_surface(study, wanted.rms_nm, wanted.period_mm)
@@ -57,7 +57,7 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
 
 
 def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> ConditionedMap:
-    """A surface of this RMS over the clear aperture, without what the part's maps are levelled by."""
+    """Draw a surface of this RMS over the clear aperture, without the terms that the part's maps are levelled by."""
     part = study.part
     grid = study_grid(study, study.process.grid_mm)
     solve, metric = (study.outline().contains(*grid.axes_mm, edge) for edge in (0.0, part.edge_mm))
@@ -73,7 +73,7 @@ def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float
 def random_waves(grid: Grid, period_mm: tuple[float, float], seed: int) -> FloatArray:
     """(ny, nx) sum of plane waves with periods in the band, longer ones higher: amplitude as the period.
 
-    A function of place alone: a finer grid samples the same surface.
+    A function of position alone: a finer grid samples the same surface.
     """
     rng = np.random.default_rng(seed)
     period = np.exp(rng.uniform(np.log(period_mm[0]), np.log(period_mm[1]), WAVES))
@@ -87,7 +87,7 @@ def random_waves(grid: Grid, period_mm: tuple[float, float], seed: int) -> Float
 
 @dataclass(frozen=True, slots=True)
 class Scene(SpotPath):
-    """A path of dwell points at rest on the optic, and what the robot makes of the contact there."""
+    """A path of dwell points at rest on the optic, and the contact that the robot gives there."""
 
     grid: Grid
     gamma: FloatArray
@@ -95,13 +95,13 @@ class Scene(SpotPath):
     compliance_um_per_n: FloatArray
     """(n,) linear equivalent compliance."""
     lattice: Grid
-    """The dwell points are its nodes, those that the path goes to."""
+    """The dwell points are nodes of this lattice."""
     on_nodes: bool
-    """Whether the dwell points are nodes of the grid: then a convolution is exact but for its truncation."""
+    """True if the dwell points are nodes of the grid: a convolution is exact then, except for its truncation."""
     notes: tuple[str, ...]
 
     def on_lattice(self, values: FloatArray) -> FloatArray:
-        """(n,) values of the dwell points as a map of the lattice, NaN where there is no point."""
+        """Return (n,) values of the dwell points as a map of the lattice, NaN without a point."""
         found = np.full(self.lattice.shape, np.nan)
         column = (self.program.end_mm[:, 0] - self.lattice.x_mm[0]) / self.lattice.pitch_mm
         row = (self.lattice.y_mm[0] - self.program.end_mm[:, 1]) / self.lattice.pitch_mm
@@ -109,12 +109,12 @@ class Scene(SpotPath):
         return found
 
     def effect(self, corrected: CorrectedSpot) -> SparseEffect:
-        """The effect matrix of these spots, each laid down on its own; deeper over a free rim."""
+        """Return the effect matrix of these spots, each one exact; deeper over a free rim."""
         return self.matrix(self.grid, self.on_part(corrected)[0])
 
 
 def make_scene(study: PartStudy) -> Scene:
-    """Dwell points, tool axes and gamma of a study; ConfigError where the robot cannot do it."""
+    """Return dwell points, tool axes and gamma of a study; ConfigError out of the robot's reach."""
     process, robot = study.tool_process(), study.robot_model()
     placement, options, optic = study.placement(), study.compliance_options(), study.optic()
     lattice = study_grid(study, study.path.step_mm)
@@ -146,7 +146,7 @@ def make_scene(study: PartStudy) -> Scene:
 
 
 def lattice_points(lattice: Grid, inside: BoolArray) -> FloatArray:
-    """(n, 3) mm: the lattice's nodes that lie inside, (ny, nx), row by row to and fro, as a tool would visit them."""
+    """(n, 3) mm: the lattice's nodes inside, (ny, nx), row by row in alternating direction."""
     rows = [
         [(x, y, 0.0) for x in (lattice.x_mm[row] if k % 2 == 0 else lattice.x_mm[row][::-1])]
         for k, (y, row) in enumerate(zip(lattice.y_mm, inside, strict=True))
@@ -155,7 +155,7 @@ def lattice_points(lattice: Grid, inside: BoolArray) -> FloatArray:
 
 
 def dwells(points_mm: FloatArray, axis: FloatArray, name: str) -> Program:
-    """A program of dwells at rest: (n, 3) points and (n, 3) unit tool axes, part frame."""
+    """Return a program of dwells at rest: (n, 3) points and (n, 3) unit tool axes, part frame."""
     count = np.arange(len(points_mm))
     return Program(
         text=b"",

@@ -1,4 +1,4 @@
-"""Passes of equal dwell against gamma: the paper's fig. 12, where the spot follows the depth."""
+"""Passes of equal dwell against gamma: the paper's fig. 12, in which the spot follows the depth."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from polishd.studies.scene import Scene, make_scene
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """What passes of equal dwell removed; figures over the clear aperture."""
+    """Removal by passes of equal dwell; figures over the clear aperture."""
 
     passes: int
     grid: Grid
@@ -35,11 +35,11 @@ class Passes:
     correlation: float
     """Pearson's, of removal with gamma."""
     slope: float
-    """Of log removal against log gamma, least squares: 1.5 for a Hertz contact."""
+    """Slope of log removal against log gamma, least squares: 1.5 for a Hertz contact."""
     notes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """The figures, without maps."""
+        """Return the figures, without maps."""
         inside = self.gamma[self.metric_mask]
         plain = ("passes", "mean_nm", "pv_nm", "rms_nm", "correlation", "slope")
         return {
@@ -50,11 +50,11 @@ class Passes:
         }
 
 
-def polish_evenly(study: PassesStudy, tell: Callable[[str], None]) -> Passes:
-    """Dwell equally long at every point, pass after pass. ConfigError for what cannot be."""
-    tell("compliance along the path")
+def polish_evenly(study: PassesStudy, report_progress: Callable[[str], None]) -> Passes:
+    """Dwell equally long at every point, pass after pass. ConfigError for invalid input."""
+    report_progress("compliance along the path")
     scene = make_scene(study)
-    tell("removing")
+    report_progress("removing")
     time_s = np.full(scene.program.n, study.dwell_s * study.passes)
     removal = scene.effect(tif_at_point("exact", scene.gamma)).removal_nm(time_s)
     gamma = gamma_map(scene)
@@ -78,7 +78,7 @@ def polish_evenly(study: PassesStudy, tell: Callable[[str], None]) -> Passes:
 
 
 def gamma_map(scene: Scene) -> FloatArray:
-    """(ny, nx) gamma at the samples: the mean of the points that reach one; NaN where none does."""
+    """(ny, nx) gamma at the samples: the mean of the points that reach one; NaN without a point."""
     rigid = scene.effect(tif_at_point("none", scene.gamma))
     reach = rigid.removal_nm(np.ones(scene.program.n))
     with np.errstate(invalid="ignore"):
@@ -91,9 +91,9 @@ def against_gamma(removal_nm: FloatArray, gamma: FloatArray) -> tuple[float, flo
     Raises ComputeError where a sample was not reached, or gamma is the same everywhere.
     """
     if not ((removal_nm > 0).all() and np.isfinite(gamma).all()):
-        raise ComputeError("no dwell point reaches some samples of the clear aperture; take a smaller step_mm")
+        raise ComputeError("no dwell point reaches some samples of the clear aperture. Set a smaller step_mm")
     if np.ptp(gamma) < 1e-9:
-        raise ComputeError(f"gamma is {gamma[0]:.6g} everywhere: removal cannot be held against it")
+        raise ComputeError(f"gamma is {gamma[0]:.6g} everywhere: no correlation with removal exists")
     slope = np.polyfit(np.log(gamma), np.log(removal_nm), 1)[0]
     return float(np.corrcoef(removal_nm, gamma)[0, 1]), float(slope)
 
@@ -101,12 +101,12 @@ def against_gamma(removal_nm: FloatArray, gamma: FloatArray) -> tuple[float, flo
 # Spots polished at rest: the rows of the paper's Table III, computed.
 
 READINGS = ("radius", "diameter")
-"""What a spot's size is taken for; the paper does not say."""
+"""Reading of a spot's size; the paper does not define it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpotRow:
-    """One spot with its size read in one way, after the study's seconds."""
+    """One spot, with one reading of its size, after the study's seconds."""
 
     name: str
     size_is: str
@@ -119,7 +119,7 @@ class SpotRow:
     """Jensen-Shannon divergence of the computed x profile from the computed y profile, to `DIVERGENCE_BASE`."""
 
     def as_json(self) -> dict[str, Any]:
-        """All of it, profiles included."""
+        """Return all fields, with the profiles."""
         figures = self.figures
         plain = ("depth_mm", "contact_radius_mm", "peak_pressure_mpa", "peak_nm_s", "volume_mm3_min")
         return {
@@ -136,19 +136,19 @@ class SpotRow:
         }
 
 
-def compute_spots(study: SpotsStudy, tell: Callable[[str], None]) -> tuple[SpotRow, ...]:
-    """A row for each spot and reading of its size; ConfigError for a spot that cannot be."""
+def compute_spots(study: SpotsStudy, report_progress: Callable[[str], None]) -> tuple[SpotRow, ...]:
+    """Return a row for each spot and reading of its size; ConfigError for an invalid spot."""
     rows = []
     for reading in READINGS:
         for name in study.spots:
-            tell(f"spot {name}, size is the {reading}")
+            report_progress(f"spot {name}, size is the {reading}")
             with study.blame(f"spots.{name}"):
                 rows.append(compute_spot(study, name, reading))
     return tuple(rows)
 
 
 def compute_spot(study: SpotsStudy, name: str, reading: str) -> SpotRow:
-    """One row; ``reading`` is what its size is taken for."""
+    """Return one row; ``reading`` is the meaning of its size."""
     section = study.spots[name]
     process = replace(
         study.tool_process(),
@@ -168,7 +168,7 @@ def compute_spot(study: SpotsStudy, name: str, reading: str) -> SpotRow:
 
 
 def shape_words(rows: tuple[SpotRow, ...]) -> list[str]:
-    """Which of the x profiles are M-shaped, a sentence for each reading of the size."""
+    """Name the M-shaped x profiles, one sentence for each reading of the size."""
     words = []
     for reading in READINGS:
         mine = [row for row in rows if row.size_is == reading]

@@ -1,4 +1,4 @@
-"""What the rows of many cases say: medians with intervals, paired differences, sensitivity, where it fails."""
+"""Summary of the rows of many cases: medians with intervals, paired differences, sensitivity, shares of failure."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import numpy as np
 from polishd.studies.result_store import OVER, Row
 
 SURE = 0.95
-"""Of all intervals."""
+"""Confidence of all intervals."""
 LABELS = ("scenario", "plant", "size_is", "name", "loop", "correction")
-"""Columns that say what a row is of; the last one that there is, is what is compared."""
+"""Columns that label a row; cases are compared by the last one present."""
 FIGURES: dict[str, tuple[str, ...]] = {
     "loop": ("true_rms_end_nm", "passes_to_tolerance"),
     "corrections": ("rms_nm", "pv_nm", "dwell_s"),
     "spots": ("removal_depth_nm", "volume_mm3", "jsd_x_y"),
     "passes": ("pv_share", "slope", "correlation"),
 }
-"""By kind of study, what is summed up; the first is what sensitivity is of."""
+"""Figures to summarize, by kind of study; sensitivity is computed for the first."""
 SEED = "first_seed"
-"""A key that is swept for the draws' sake, and nothing goes with it."""
+"""A key that is swept only for other draws; no figure depends on it."""
 THIRDS = ("lowest third", "middle third", "highest third")
 NEVER = math.inf
-"""Passes to tolerance of a job that did not come there: it is above all others, and a median of such is none."""
+"""Passes to tolerance of a job that did not reach it: above all others, and a median of such is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class MedianInterval:
-    """A median, and between which two it lies with a chance of ``SURE``; None: it never came, or nobody knows."""
+    """A median and its interval with confidence ``SURE``; None: never reached, or not known."""
 
     median: float | None
     low: float | None
@@ -45,16 +45,16 @@ class LabelGroup:
     label: Mapping[str, str]
     cases: int
     failed: int
-    """Cases with an error, and jobs that did not come into tolerance."""
+    """Cases with an error, and jobs that did not reach tolerance."""
     share: tuple[float, float, float]
-    """Of those that failed: as counted, and its interval (Wilson's)."""
+    """Share of failures, and its interval (Wilson's)."""
     errors: int
     figures: Mapping[str, MedianInterval]
 
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """One label against the first, on the same draws."""
+    """One label against the first, with the same draws."""
 
     label: Mapping[str, str]
     against: str
@@ -65,23 +65,23 @@ class PairedDifference:
     same: int
     higher: int
     difference: MedianInterval
-    """Its figure less the other's, where both have one."""
+    """Its figure minus the other's, where both have one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """How a figure goes with a swept key: Spearman's rank correlation, -1 to 1."""
+    """Correlation of a figure with a swept key: Spearman's rank correlation, -1 to 1."""
 
     label: Mapping[str, str]
     key: str
     figure: float | None
     fails: float | None
-    """The same of failing (1) and not (0)."""
+    """The same for failing (1) and not (0)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FailureRegion:
-    """How many fail in a part of a key's values."""
+    """Failures in a part of a key's values."""
 
     label: Mapping[str, str]
     key: str
@@ -92,7 +92,7 @@ class FailureRegion:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All of it."""
+    """The whole summary."""
 
     kind: str
     rows: int
@@ -102,12 +102,12 @@ class Summary:
     fails: tuple[FailureRegion, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """Return it for JSON."""
         return asdict(self)
 
 
 def summarise(rows: Iterable[Row]) -> Summary:
-    """Of the rows of a study, in their order."""
+    """Summarize the rows of a study, in their order."""
     known = [{**row, "passes_to_tolerance": _to_tolerance(row)} for row in rows]
     kind = kind_of(known)
     names = _told(known)
@@ -133,14 +133,14 @@ def summarise(rows: Iterable[Row]) -> Summary:
 
 
 def _told(rows: Sequence[Row]) -> list[str]:
-    """Labels that tell rows apart; where none does, the last that there is."""
+    """Return the labels that differ between rows; without any, the last one present."""
     values = {name: {row[name] for row in rows if row.get(name) is not None} for name in LABELS}
     return [name for name in LABELS if len(values[name]) > 1] or [name for name in LABELS if values[name]][-1:]
 
 
 def kind_of(rows: Sequence[Row]) -> str:
-    """Which kind of study they are of."""
-    if any(row.get("loop") is not None for row in rows):  # also of jobs of which none came so far as a figure
+    """Return the kind of study of the rows."""
+    if any(row.get("loop") is not None for row in rows):  # also of jobs none of which has a figure
         return "loop"
     return next(
         (kind for kind, figures in FIGURES.items() if any(row.get(figures[0]) is not None for row in rows)), "loop"
@@ -148,12 +148,12 @@ def kind_of(rows: Sequence[Row]) -> str:
 
 
 def failed(row: Row) -> bool:
-    """It has an error, or is a job that did not come into tolerance."""
+    """True for an error, and for a job that did not reach tolerance."""
     return bool(row.get("error")) or row.get("accepted") is False
 
 
 def middle(values: Sequence[float]) -> MedianInterval:
-    """Median and its interval, by ranks: no distribution is assumed."""
+    """Return the median and its interval, by ranks: no distribution is assumed."""
     from scipy.stats import binom
 
     ordered, n = sorted(values), len(values)
@@ -167,7 +167,7 @@ def middle(values: Sequence[float]) -> MedianInterval:
 
 
 def share(count: int, of: int) -> tuple[float, float, float]:
-    """A share, and its interval."""
+    """Return a share, and its interval."""
     from scipy.stats import binomtest
 
     ends = binomtest(count, of).proportion_ci(SURE, method="wilson")
@@ -191,7 +191,7 @@ def _group(label: Mapping[str, str], rows: Sequence[Row], kind: str) -> LabelGro
 def _all_paired(
     by_label: Mapping[tuple[str, ...], Sequence[Row]], groups: Mapping[tuple[str, ...], Mapping[str, str]], kind: str
 ) -> Iterable[PairedDifference]:
-    """Each label against the first with which it shares all but what is compared."""
+    """Compare each label with the first one that agrees in all else."""
     first: dict[tuple[str, ...], tuple[str, ...]] = {}
     for label, rows in by_label.items():
         if not label:
@@ -226,9 +226,9 @@ def _paired(
 
 def _sensitivity(label: Mapping[str, str], rows: Sequence[Row], key: str, kind: str) -> Sensitivity:
     figure = FIGURES[kind][0]
-    told = [(row[key], row[figure]) for row in rows if _is_number(row.get(key)) and row.get(figure) is not None]
+    pairs = [(row[key], row[figure]) for row in rows if _is_number(row.get(key)) and row.get(figure) is not None]
     fails = [(row[key], float(failed(row))) for row in rows if _is_number(row.get(key))]
-    return Sensitivity(label, key.removeprefix(OVER), _rank_correlation(told), _rank_correlation(fails))
+    return Sensitivity(label, key.removeprefix(OVER), _rank_correlation(pairs), _rank_correlation(fails))
 
 
 def _rank_correlation(pairs: Sequence[tuple[float, float]]) -> float | None:
@@ -241,7 +241,7 @@ def _rank_correlation(pairs: Sequence[tuple[float, float]]) -> float | None:
 
 
 def _fails(label: Mapping[str, str], rows: Sequence[Row], key: str) -> Iterable[FailureRegion]:
-    """By thirds of a key's values where it has many, by value where it has few."""
+    """Divide by thirds of a key's values where it has many, by value where it has few."""
     have = [row for row in rows if row.get(key) is not None]
     values = [row[key] for row in have]
     if not values:

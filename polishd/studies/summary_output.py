@@ -17,11 +17,11 @@ from polishd.studies.pictures import Draw, drawn
 from polishd.studies.summary import FIGURES, THIRDS, LabelGroup, MedianInterval, Summary
 
 MOST_KEYS = 12
-"""Of a picture."""
+"""Size of a picture."""
 
 
 def summary_tables(title: str, summary: Summary) -> list[Table]:
-    """Groups, paired differences, sensitivity, and where it fails."""
+    """Return groups, paired differences, sensitivity, and shares of failure."""
     figures = FIGURES[summary.kind]
     groups = [
         (
@@ -49,7 +49,7 @@ def summary_tables(title: str, summary: Summary) -> list[Table]:
 
 
 def summary_pictures(summary: Summary) -> Mapping[str, Draw]:
-    """Medians and shares that fail; with swept keys, what the figure goes with, and where it fails."""
+    """Return medians and shares of failure; with swept keys, sensitivity and shares of failure over their values."""
     found = {"medians.png": drawn(_medians, summary)}
     if summary.sensitivity:
         found |= {"sensitivity.png": drawn(_heat, summary), "fails.png": drawn(_failing, summary)}
@@ -62,7 +62,7 @@ def words(label: Mapping[str, str]) -> str:
 
 
 def short(key: str) -> str:
-    """The last of a dotted key."""
+    """Return the last part of a dotted key."""
     return key.rsplit(".", 1)[-1]
 
 
@@ -75,7 +75,7 @@ def _sensitivity(title: str, summary: Summary, keys: Sequence[str]) -> Table:
 
 
 def _fails(title: str, summary: Summary, keys: Sequence[str]) -> Table:
-    """A row a label: over the parts of each key's values, one after the other."""
+    """Return a row for each label, over the parts of each key's values."""
     rows = []
     for label in (words(group.label) for group in summary.groups):
         mine = [one for one in summary.fails if words(one.label) == label]
@@ -104,7 +104,7 @@ def _figure(value: float | None) -> str:
 
 
 def _medians(summary: Summary) -> Figure:
-    """A panel a figure, and one of the share that fails."""
+    """Draw a panel for each figure, and one of the share of failure."""
     names = FIGURES[summary.kind]
     page = figure(3.4 * (len(names) + 1) + 1.2, 0.32 * len(summary.groups) + 1.4)
     axes = page.subplots(1, len(names) + 1, sharey=True, squeeze=False)[0]
@@ -151,7 +151,7 @@ def _heat(summary: Summary) -> Figure:
 
 
 def _failing(summary: Summary) -> Figure:
-    """A panel a key: the share that fails over its thirds, a line a label."""
+    """Draw a panel for each key: the share of failure over its thirds, a line for each label."""
     keys = list(dict.fromkeys(one.key for one in summary.fails))[:MOST_KEYS]
     columns = min(len(keys), 3)
     lines = -(-len(keys) // columns)
@@ -173,35 +173,35 @@ def _failing(summary: Summary) -> Figure:
     return page
 
 
-# What was wrong against what the loops said of it: a confusion matrix, on the screen and as a file for the docs.
+# True causes against the loops' diagnoses: a confusion matrix, on the screen and as a file for the docs.
 
 FILE = "confusion.md"
 
 
 def confusion_table(title: str, looped: LoopRows) -> Table:
-    """A row is a scenario and loop, a column what was said; jobs that ended in an error said nothing."""
+    """A row is a scenario and loop, a column a diagnosis; jobs that ended in an error have none."""
     header, rows = _cells(looped)
-    return figure_table(f"{title}: what was said", header, rows)
+    return figure_table(f"{title}: diagnoses", header, rows)
 
 
 def confusion_page(looped: LoopRows) -> str:
-    """The same as a table in Markdown."""
+    """Return the same as a table in Markdown."""
     header, rows = _cells(looped)
     lines = [header, ["---"] * len(header), *rows]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def _cells(looped: LoopRows) -> tuple[list[str], list[list[str]]]:
-    said = list(dict.fromkeys(name for row in looped.rows for name in row.named))
-    said.sort(key=lambda name: -max(row.named.get(name, 0) for row in looped.rows))
+    causes = list(dict.fromkeys(name for row in looped.rows for name in row.named))
+    causes.sort(key=lambda name: -max(row.named.get(name, 0) for row in looped.rows))
     rows = [
         [
             row.scenario,
             row.loop,
-            *(str(row.named[name]) if name in row.named else "" for name in said),
+            *(str(row.named[name]) if name in row.named else "" for name in causes),
             f"{row.named_rightly} of {row.runs}",
             f"{100 * row.named_rightly / row.runs:.1f} %",
         ]
         for row in looped.rows
     ]
-    return ["wrong is", "loop", *said, "rightly", "share"], rows
+    return ["wrong is", "loop", *causes, "rightly", "share"], rows

@@ -1,4 +1,4 @@
-"""Tables and sentences of studies, for people. Programs read ``--json`` instead."""
+"""Tables and sentences of studies, for people. Programs read the output of ``--json``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PLANT_WORDS = {"eq49": "plant eq. 49: R0 diag(gamma)", "depth": "plant depth: ea
 
 
 def correction_tables(title: str, compared: CorrectionComparison) -> list[Table]:
-    """One table a plant, the paper's Table IV beside it."""
+    """Return one table for each plant, the paper's Table IV beside it."""
     return [_correction_table(f"{title}, {PLANT_WORDS[plant]}", compared, plant) for plant in PLANTS]
 
 
@@ -56,7 +56,7 @@ def _correction_cells(row: CorrectionRow, ratio: float) -> list[str]:
 
 
 def correction_notes(compared: CorrectionComparison) -> list[str]:
-    """The ties, our ratio beside the paper's, and what is to be known of the solutions."""
+    """Return the ties, our ratio beside the paper's, and notes on the solutions."""
     ours = ", ".join(f"{name} {compared.ratio('depth', name):.3g}" for name in ("linear", "power", "exact"))
     return [
         *tie_words(compared),
@@ -67,7 +67,7 @@ def correction_notes(compared: CorrectionComparison) -> list[str]:
 
 
 def spot_tables(study: SpotsStudy, rows: tuple[SpotRow, ...]) -> list[Table]:
-    """One table for each reading of the size, the paper's figures beside ours."""
+    """Return one table for each reading of the size, the paper's figures beside ours."""
     return [
         _spot_table(f"{study.title}, {study.seconds:g} s, size = {reading}", [r for r in rows if r.size_is == reading])
         for reading in READINGS
@@ -100,7 +100,7 @@ def _spot_cells(row: SpotRow) -> list[str]:
 
 
 def spot_notes(rows: tuple[SpotRow, ...]) -> list[str]:
-    """What the columns mean where they could be taken for something else."""
+    """Explain the columns that could be misread."""
     return [
         *shape_words(rows),
         f"JSD x-y is the Jensen-Shannon divergence of our x profile from our y profile, log base {DIVERGENCE_BASE:g}",
@@ -110,7 +110,7 @@ def spot_notes(rows: tuple[SpotRow, ...]) -> list[str]:
 
 
 def passes_table(study: PassesStudy, passes: Passes) -> Table:
-    """Removal and how it goes with gamma."""
+    """Return removal and its correlation with gamma."""
     inside = passes.gamma[passes.metric_mask]
     uneven = f"PV {passes.pv_nm:.3f} nm ({passes.pv_nm / passes.mean_nm:.2%}), RMS {passes.rms_nm:.3f} nm"
     rows = [
@@ -125,7 +125,7 @@ def passes_table(study: PassesStudy, passes: Passes) -> Table:
 
 
 def loop_table(title: str, looped: LoopRows) -> Table:
-    """One row a scenario and loop."""
+    """Return one row for each scenario and loop."""
     columns = ("scenario", "loop", "jobs", "accepted", "passes", "after pass 1 nm", "true RMS nm")
     return figure_table(
         title, (*columns, "falsely", "named rightly", "as expected", "CPU s"), map(_loop_cells, looped.rows)
@@ -154,21 +154,21 @@ def _share(looped: LoopRows) -> str:
 
 
 def loop_notes(looped: LoopRows) -> list[str]:
-    """What the columns mean, and what stopped loops said."""
+    """Explain the columns, and list why loops stopped."""
     stopped = {f"{run.scenario}, {run.loop}, seed {run.seed}: {run.why}": None for run in looped.runs if run.why}
-    told = list(stopped)[:MOST_NOTES]
-    more = [f"... and {len(stopped) - len(told)} more that were stopped"] if len(stopped) > len(told) else []
+    shown = list(stopped)[:MOST_NOTES]
+    more = [f"... and {len(stopped) - len(shown)} more that were stopped"] if len(stopped) > len(shown) else []
     return [
         "passes, RMS and CPU are medians; passes count to tolerance, true RMS is the part's own at the job's end",
         "falsely: accepted, and the part itself is out of tolerance; named rightly: what is wrong, and nothing else",
         f"as expected: passes that left what their plan had expected with a chance of nine in ten ({_share(looped)})",
-        *told,
+        *shown,
         *more,
     ]
 
 
 def error_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Why cases have no figures, and how many of each."""
+    """Return why cases have no figures, and how many of each."""
     why = Counter(str(row["error"]) for row in rows if row.get("error"))
-    told = [f"{count} of them: {words}" for words, count in why.most_common(MOST_NOTES)]
-    return [f"{sum(why.values())} of {len(rows)} cases have an error instead of figures:", *told] if why else []
+    lines = [f"{count} of them: {words}" for words, count in why.most_common(MOST_NOTES)]
+    return [f"{sum(why.values())} of {len(rows)} cases have an error instead of figures:", *lines] if why else []

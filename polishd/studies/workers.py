@@ -121,7 +121,7 @@ def start_worker() -> tuple[dict[str, Any], AnswerFunction]:
 
 
 class _StudyCases:
-    """The worker's end: the study of the last request, with what it keeps from case to case."""
+    """The worker's end: the study of the last request, with the data that it keeps from case to case."""
 
     def __init__(self) -> None:
         self._runner: CaseRunner | None = None

@@ -1,4 +1,4 @@
-"""A device under test, what may happen to it, and what may be asked of it."""
+"""Rigs: a device under test, faults of its link, and the scope of its tests."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from polishd.testing.helpers import SOON_S
 
 D = TypeVar("D")
 ROOM_S = 1.5
-"""Beyond its own silence, for what else a machine does."""
+"""Added to the device's silence time, for delays of the computer."""
 ANSWERS = 8
-"""No call to a dead device takes longer: four answers, each of which may still come as late again."""
+"""Longest call to a dead device: four answers, each of which may arrive late by as much again."""
 
 
 def _line(number: int) -> bytes:
@@ -35,32 +35,32 @@ def _line(number: int) -> bytes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TestScope:
-    """What a suite may ask of a device."""
+    """Values that a suite may use on a device."""
 
     force_n: float = 12.0
-    """Actuator: pressed with, and with less."""
+    """Actuator: largest force of the tests."""
     most_n: float | None = 50.0
-    """Actuator: more must be refused; None: more is not asked for."""
+    """Actuator: a larger force must be refused; None: not tested."""
     band: float = 0.05
-    """Actuator: share by which a regulated force may be off."""
+    """Actuator: tolerance of a regulated force, share."""
     touch_mm: float | None = None
-    """Actuator: how far out the tool is in contact, where that is known."""
+    """Actuator: position of the tool in contact, if known."""
     period_s: float | None = 0.05
-    """Actuator: between samples; None: only often enough for its watchdog."""
+    """Actuator: period of samples; None: often enough for its watchdog."""
     rpm: float = 1000.0
-    """Spindle: turned with, half as fast, and backwards."""
+    """Spindle: speed of the tests; also half of it, and backward."""
     most_rpm: float | None = 6000.0
-    """Spindle: may be asked for; more must be refused; None: more than ``rpm`` is not asked for."""
+    """Spindle: highest allowed speed, a higher one must be refused; None: only up to ``rpm`` is tested."""
     forgives: bool = True
-    """Spindle: the fault of its own watchdog is taken back when it is made safe; else a person resets it."""
+    """Spindle: ``make_safe`` clears the fault of its watchdog; otherwise the operator resets it."""
     block: Callable[[int], bytes] | None = _line
-    """Robot: the block of that number, of up to 200; each takes some tens of ms. None: nothing is run."""
+    """Robot: returns block n of up to 200, each of some tens of ms. None: no program is run."""
     bad_block: bytes = b"?what"
-    """Robot: what it cannot read."""
+    """Robot: a block that it cannot read."""
     parts: tuple[str, str] = ("P-1", "lens 7")
-    """Loader: parts that it has; the seat is empty at first."""
+    """Loader: its parts; the seat is empty at first."""
     no_part: str = "P-2"
-    """Loader: one that it has not."""
+    """Loader: a part that it does not have."""
 
 
 USUAL = TestScope()
@@ -68,20 +68,20 @@ USUAL = TestScope()
 
 @dataclass
 class Rig(Generic[D]):
-    """A device, and what may happen to it. What is None cannot be done to it: tests that need it are skipped."""
+    """A device and actions on its link. An action that is None is not possible: tests that need it are skipped."""
 
     device: D
     cut: Callable[[], None] | None = None
-    """Pull the plug for good."""
+    """Cut the link permanently."""
     mute: Callable[[], None] | None = None
-    """The peer goes on living and says nothing more: a half-open link."""
+    """Mute the peer, which keeps running: a half-open link."""
     safe: Callable[[], bool] | None = None
-    """The machine itself, not the driver: it exerts nothing and stands still."""
+    """Whether the machine, independent of the driver, exerts no force and stands still."""
     whole_file: bool = False
-    """A robot that takes its program in one piece: nobody waits for credit."""
+    """Robot that accepts its program in one piece: ``send`` does not wait for credit."""
     scope: TestScope = USUAL
     soon_s: float = SOON_S
-    """What takes longer hangs."""
+    """Longest duration of a test step; a longer one hangs."""
 
     def unplug(self) -> None:
         """Cut the link, in a test that is marked with it."""
@@ -95,22 +95,22 @@ class Rig(Generic[D]):
 
     @property
     def prompt_s(self) -> float:
-        """So soon a dead link is known."""
+        """Longest time to detect a dead link."""
         return self._silence_s + ROOM_S
 
     @property
     def bound_s(self) -> float:
-        """No call to a dead device takes longer."""
+        """Longest time of a call to a dead device."""
         return ANSWERS * self._silence_s
 
     async def rests(self) -> bool:
-        """It exerts nothing and stands still: by the machine's own word, or else by the device's."""
+        """Whether it exerts no force and stands still, by the machine's report, or by the device's."""
         if self.safe is not None:
             return self.safe()
         device: Any = self.device
         try:
             return bool((await device.status()).safe)
-        except LinkError:  # it is closed: asked as probe asks
+        except LinkError:  # it is closed: open it for the status, as probe does
             await device.open()
             try:
                 return bool((await device.status()).safe)
@@ -124,21 +124,21 @@ class Rig(Generic[D]):
 
 
 MakeRig = Callable[[Path], AbstractAsyncContextManager[Rig[Any]]]
-"""(folder of the test's own) -> the rig, its peer running and its device not yet open; ends both."""
+"""(folder of the test) -> the rig, with its peer running and its device not yet open; ends both."""
 
 NEEDS = {"cut": "polishd_cuts", "mute": "polishd_mutes"}
-"""Of a rig, by the mark of the tests that do it."""
+"""Action of a rig, by the mark of the tests that use it."""
 
 
 def rig_fixture(name: str) -> Any:
-    """The fixture of that name: the rig of each of the module's ``CASES``, or of each device of ``--cell``."""
+    """Return the fixture of that name: the rig of each of the module's ``CASES``, or of each device of ``--cell``."""
 
     async def fixture(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Rig[Any]]:
         make: MakeRig = request.param
         async with make(tmp_path) as rig:
             for ability, mark in NEEDS.items():
                 if getattr(rig, ability) is None and request.node.get_closest_marker(mark):
-                    pytest.skip(f"nothing here can {ability} its link")
+                    pytest.skip(f"the rig cannot {ability} the link")
             yield rig
 
     return pytest_asyncio.fixture(fixture, name=name)
@@ -147,14 +147,14 @@ def rig_fixture(name: str) -> Any:
 cuts = pytest.mark.polishd_cuts
 mutes = pytest.mark.polishd_mutes
 moves = pytest.mark.polishd_moves
-"""Something moves or could, or a program is loaded; nothing is pressed."""
+"""Test with motion, possible motion, or a loaded program; without pressing."""
 fresh = pytest.mark.polishd_fresh
-"""Only with a device that was just powered up: any other could go on with what it had."""
+"""Test that needs a device that was just powered up: any other could continue its last program."""
 presses = pytest.mark.polishd_presses
-"""The tool is put on the part."""
+"""Test that puts the tool on the part."""
 
 
-# A simulator as a process: its end is a power cut, stopping it a half-open link.
+# A simulator as a process: ending it is a power cut, stopping it a half-open link.
 
 START_S = 60.0
 END_S = 5.0
@@ -162,52 +162,52 @@ END_S = 5.0
 
 @dataclass
 class ReplayPeer:
-    """A running simulator."""
+    """A running simulator process."""
 
     process: Popen[bytes]
     output: int
-    """Descriptor of its standard output."""
-    told: dict[str, Any] = field(default_factory=dict)
-    """The last word on each thing."""
+    """File descriptor of its standard output."""
+    reported: dict[str, Any] = field(default_factory=dict)
+    """Last value of each key that the simulator reported."""
     _rest: bytes = b""
 
     @property
     def endpoint(self) -> str:
-        """Where it answers."""
-        return str(self.told["endpoint"])
+        """Address of the simulator."""
+        return str(self.reported["endpoint"])
 
     @property
-    def tells_safe(self) -> bool:
-        """It says whether it exerts or moves anything."""
-        return "safe" in self.told
+    def reports_safe(self) -> bool:
+        """Whether the simulator reports if it is safe."""
+        return "safe" in self.reported
 
     def safe(self) -> bool:
-        """It exerts nothing and stands still, by its own word."""
+        """Whether it reports that it exerts no force and stands still."""
         self.hear()
-        return bool(self.told["safe"])
+        return bool(self.reported["safe"])
 
     def cut(self) -> None:
         """Cut its power."""
         self.process.kill()
 
     def mute(self) -> None:
-        """It lives and says nothing more."""
+        """Stop the process: it stays alive and sends nothing more."""
         self.process.send_signal(signal.SIGSTOP)
 
     def hear(self) -> bool:
-        """Take what it has written; False once it has ended, and nothing more will come."""
+        """Process its output; return False once it has ended."""
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self.output, 4096):
                 *lines, self._rest = (self._rest + data).split(b"\n")
                 for line in lines:
-                    self.told |= _message(line)
+                    self.reported |= _message(line)
             return False
         return True
 
 
 @asynccontextmanager
 async def started(command: Sequence[str]) -> AsyncIterator[ReplayPeer]:
-    """The simulator of that command line, for the time of the block; DeviceFault where it does not come up."""
+    """Run the simulator of that command line during the block; DeviceFault if it does not start."""
     with Popen(list(command), stdout=PIPE, stdin=DEVNULL) as process:  # noqa: ASYNC220 -- it is not waited for
         peer = ReplayPeer(process, process.stdout.fileno() if process.stdout else -1)
         os.set_blocking(peer.output, False)
@@ -222,7 +222,7 @@ async def _until_up(peer: ReplayPeer, command: str) -> None:
     up = asyncio.Event()
 
     def hear() -> None:
-        if not peer.hear() or "endpoint" in peer.told:
+        if not peer.hear() or "endpoint" in peer.reported:
             up.set()
 
     loop = asyncio.get_running_loop()
@@ -234,13 +234,13 @@ async def _until_up(peer: ReplayPeer, command: str) -> None:
         peer.hear()
     finally:
         loop.remove_reader(peer.output)
-    if "endpoint" not in peer.told:
-        how = f"did not say within {START_S:g} s" if peer.hear() else "ended before it said"
-        raise DeviceFault(f'the simulator {how} where it answers: {{"endpoint": "..."}} on a line; it is {command}')
+    if "endpoint" not in peer.reported:
+        how = f"printed no address within {START_S:g} s" if peer.hear() else "ended before it printed its address"
+        raise DeviceFault(f'the simulator {command} {how}. Print the line {{"endpoint": "..."}} at its start.')
 
 
 def _message(line: bytes) -> dict[str, Any]:
-    """What a line tells; nothing where it is another's: simulators may say what they like beside."""
+    """Parse a line of JSON; an empty result for other lines, which simulators may also print."""
     try:
         message = json.loads(line)
     except ValueError:
@@ -257,7 +257,7 @@ def _end(process: Popen[bytes]) -> None:
         process.kill()
 
 
-# A driver of one's own for the suites: how it is built, where its device is, and what may be asked of it.
+# A driver case for the suites: construction, address, and scope of the tests.
 
 ENDPOINT = "{endpoint}"
 
@@ -267,27 +267,27 @@ class DriverCase:
     """An entry of a test module's ``CASES``: a simulator, whose link can be cut and muted, or a real device."""
 
     plugin: Any
-    """The plugin: a module, or an object, with ``polishd_device_types``."""
+    """Plugin: a module or an object with ``polishd_device_types``."""
     type: str
-    """The name of the device type."""
+    """Name of the device type."""
     options: Mapping[str, Any]
-    """The keys of its section besides ``type``; ``"{endpoint}"`` in a text is where the simulator answers."""
+    """Keys of its section besides ``type``; ``"{endpoint}"`` in a text is the simulator's address."""
     simulator: Sequence[str] = ()
-    """Command line of the simulator (polishd.testing.device_rig); none: the options name a real device."""
+    """Command line of the simulator (polishd.testing.device_rig); empty: the options name a real device."""
     scope: TestScope = USUAL
     whole_file: bool = False
-    """Of a robot: it takes its program in one piece, so that nobody waits for credit."""
+    """Robot that accepts its program in one piece: ``send`` does not wait for credit."""
     soon_s: float = 60.0
-    """What takes longer hangs."""
+    """Longest duration of a test step; a longer one hangs."""
 
     @property
     def __name__(self) -> str:
-        """In the names of tests."""
+        """Name of the case in test names."""
         return self.type
 
     @asynccontextmanager
     async def __call__(self, folder: Path) -> AsyncIterator[Rig[Device]]:
-        """The rig of one test."""
+        """Yield the rig of one test."""
         if not self.simulator:
             device = self.build(folder, "")
             try:
@@ -298,7 +298,7 @@ class DriverCase:
             return
         async with started(self.simulator) as peer:
             device = self.build(folder, peer.endpoint)
-            safe = peer.safe if peer.tells_safe else None
+            safe = peer.safe if peer.reports_safe else None
             try:
                 yield Rig(device, peer.cut, peer.mute, safe, self.whole_file, self.scope, self.soon_s)
             finally:
@@ -306,7 +306,7 @@ class DriverCase:
                     await device.close()
 
     def build(self, folder: Path, endpoint: str) -> Device:
-        """The device, not open; PluginError or pydantic's ValidationError where plugin or options are wrong."""
+        """Build the closed device; PluginError or pydantic's ValidationError for a wrong plugin or wrong options."""
         given = {
             key: value.replace(ENDPOINT, endpoint) if isinstance(value, str) else value
             for key, value in self.options.items()

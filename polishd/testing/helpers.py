@@ -1,4 +1,4 @@
-"""Waiting for what a machine does, and for calls that go on beside others."""
+"""Waiting for conditions of a machine, and for concurrent calls."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ T = TypeVar("T")
 
 
 async def seen(condition: Callable[[], Awaitable[bool]], within_s: float) -> None:
-    """Look until it is so; AssertionError where it does not come to that in time."""
+    """Poll until the condition holds; AssertionError on timeout."""
     try:
         async with asyncio.timeout(within_s):
-            while not await condition():  # noqa: ASYNC110 -- the machine tells nobody
+            while not await condition():  # noqa: ASYNC110 -- the machine sends no event
                 await asyncio.sleep(0.01)
     except TimeoutError:
-        raise AssertionError(f"it did not come to that within {within_s:g} s") from None
+        raise AssertionError(f"the condition did not hold within {within_s:g} s") from None
 
 
 async def first(items: AsyncIterator[T], within_s: float, where: Callable[[T], bool] = lambda _item: True) -> T:
-    """The first of that kind; AssertionError where none comes in time, or they end."""
+    """Return the first matching item; AssertionError on timeout, or if the items end."""
     last: T | None = None
     try:
         async with asyncio.timeout(within_s):
@@ -37,12 +37,12 @@ async def first(items: AsyncIterator[T], within_s: float, where: Callable[[T], b
                 if where(item):
                     return item
     except TimeoutError:
-        raise AssertionError(f"no such one came within {within_s:g} s; the last was {last}") from None
-    raise AssertionError(f"they ended; the last was {last}")
+        raise AssertionError(f"no matching item within {within_s:g} s; the last was {last}") from None
+    raise AssertionError(f"the items ended; the last was {last}")
 
 
 async def failure_of(call: Awaitable[object]) -> DeviceError | None:
-    """What it failed with; for calls that go on beside others."""
+    """Return the error of a concurrent call, or None."""
     try:
         await call
     except DeviceError as error:
@@ -51,25 +51,25 @@ async def failure_of(call: Awaitable[object]) -> DeviceError | None:
 
 
 async def until_lost(ask: Callable[[], Awaitable[object]]) -> None:
-    """Ask again and again; LinkError as soon as that fails so."""
+    """Repeat the call until it raises LinkError, and raise that."""
     while True:
         await ask()
         await asyncio.sleep(0.01)
 
 
 def is_lost(error: DeviceError | None) -> bool:
-    """The link is dead or silent, says the call."""
+    """Whether the error reports a dead or silent link."""
     return isinstance(error, LinkError)
 
 
-# Time limits that a busy machine does not break: what it keeps from this process does not count.
+# Time limits for a busy computer: time in which this process waited for a processor does not count.
 
 SOON_S = 240.0
-"""For what ends at once on an idle machine: only what hangs takes longer on a busy one."""
+"""Limit for calls that end at once on an idle computer; only a hanging call takes longer on a busy one."""
 
 
 def waits() -> dict[str, int]:
-    """Nanoseconds that each thread of this process could have run and did not get a processor; only Linux tells."""
+    """Return the time that each thread of this process waited for a processor, ns; only Linux reports it."""
     found = {}
     for task in Path("/proc/self/task").glob("*"):
         try:
@@ -80,14 +80,14 @@ def waits() -> dict[str, int]:
 
 
 class OwnClock:
-    """``time.monotonic`` of a machine that would be this process's own."""
+    """``time.monotonic`` without the time in which this process waited for a processor."""
 
     def __init__(self) -> None:
         self._last = waits()
         self._kept_s = 0.0
 
     def monotonic(self) -> float:
-        """Seconds."""
+        """Return the time, s."""
         now_s, found = time.monotonic(), waits()
         self._kept_s += sum(waited - self._last.get(name, 0) for name, waited in found.items()) / 1e9
         self._last = found
@@ -96,19 +96,19 @@ class OwnClock:
 
 @contextmanager
 def within(limit_s: float) -> Iterator[None]:
-    """What takes longer is wrong."""
+    """Raise AssertionError if the block takes longer."""
     clock = OwnClock()
     began_s = clock.monotonic()
     yield
     if (took_s := clock.monotonic() - began_s) >= limit_s:
-        raise AssertionError(f"it took {took_s:.1f} s; {limit_s:g} s are allowed")
+        raise AssertionError(f"took {took_s:.1f} s; the limit is {limit_s:g} s")
 
 
 # Small plans for tests that stream them.
 
 
 def plan_of(lines: Sequence[bytes], approach_blocks: int = 0) -> Plan:
-    """A plan of these lines without timed points: what a robot link needs, and nothing more."""
+    """Return a minimal plan of these lines for a robot link, without timed points."""
     text = b"\n".join(lines)
     none, points = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     program = Program(

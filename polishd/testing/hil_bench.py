@@ -1,4 +1,4 @@
-"""A real cell under the suites: what is asked of its devices at each level, and said before anything moves."""
+"""Bench for the suites on a real cell: tests of each level, and their description before any motion."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from polishd.testing.device_rig import Rig, TestScope
 from polishd.util.address_claims import KeptClaims
 from polishd.util.threads import run_loop
 
-# polishd's simulated devices in the places of some of a cell's, beside the real ones.
+# Simulated devices that replace some of a cell's devices, beside the real ones.
 
 MODULE = "polishd.sim_backends"
 END_S = 10.0
@@ -62,22 +62,22 @@ ALWAYS = ("robot", "actuator", "spindle")
 
 
 def require_simulated(config: CellConfig, names: Sequence[str]) -> None:
-    """ConfigError where one of these devices is not in the cell, or no simulated device can take its place."""
+    """Raise ConfigError if one of these devices is not in the cell, or cannot be simulated."""
     own = load_own()
     for name in names:
         if name not in config.devices:
             raise ConfigError(f"--simulate {name}: the cell has {', '.join(config.devices)}")
         if _substitute(own, port_of(name)) is None:
             simulated = join_words(port for port in PORTS if _substitute(own, port))
-            raise ConfigError(f"--simulate {name}: only {simulated} are simulated")
+            raise ConfigError(f"--simulate {name}: only {simulated} can be simulated")
     ports = [port_of(name) for name in names]
     if len(set(ports)) < len(ports):
-        raise ConfigError(f"--simulate {','.join(names)}: one device of a port is simulated, not several")
+        raise ConfigError(f"--simulate {','.join(names)}: simulate only one device of a port")
 
 
 @contextmanager
-def stand_ins(config: CellConfig, names: Sequence[str], folder: Path) -> Iterator[dict[str, Any]]:
-    """Simulated devices, running in this block; gives what to lay over the cell's config, by dotted key."""
+def simulated_devices(config: CellConfig, names: Sequence[str], folder: Path) -> Iterator[dict[str, Any]]:
+    """Run simulated devices during the block; yield the overrides of the cell's config, by dotted key."""
     if not names:
         yield {}
         return
@@ -95,14 +95,14 @@ def stand_ins(config: CellConfig, names: Sequence[str], folder: Path) -> Iterato
 
 
 def _substitute(own: Hooks, port: str) -> DeviceType | None:
-    """The port's substitute, where it is reached at an address."""
+    """Return the port's simulated device type, if it has an address."""
     kind = own.substitute(port)
     return kind if kind is not None and "address" in kind.options.model_fields else None
 
 
 @contextmanager
 def _running(arguments: Sequence[str]) -> Iterator[Mapping[str, str]]:
-    """Where its devices answer; DeviceFault where it does not come up (it says why on stderr)."""
+    """Run the simulator; yield its devices' addresses. DeviceFault if it does not start (reason on stderr)."""
     command = [sys.executable, "-m", MODULE, *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -120,11 +120,11 @@ def _running(arguments: Sequence[str]) -> Iterator[Mapping[str, str]]:
 
 SOON_S = 60.0
 SUITES = ("device", "robot", "spindle", "actuator", "cycle")
-"""In the order in which they are run: first what moves nothing, last what presses."""
+"""Suites in the order of their runs: first without motion, last with pressing."""
 
 
 class Level(IntEnum):
-    """How far the suites go; each level does what those before it do, too."""
+    """Level of the tests; each level includes the lower ones."""
 
     IDENTIFY = 0
     NO_CONTACT = 1
@@ -133,7 +133,7 @@ class Level(IntEnum):
 
     @classmethod
     def of(cls, word: str) -> Level:
-        """As it is written: ``no-contact``."""
+        """Parse a level: ``no-contact``."""
         return cls[word.upper().replace("-", "_")]
 
 
@@ -142,28 +142,28 @@ NEEDED = {
     "polishd_presses": Level.CONTACT,
     "polishd_cycles": Level.CYCLE,
 }
-"""The level of a test, by its marks."""
+"""Level that a test needs, by its mark."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HilRequest:
-    """What a person wants tried."""
+    """Options of a hardware-in-the-loop run."""
 
     cell: Path
     level: Level = Level.IDENTIFY
     max_force_n: float | None = None
-    """Nothing is pressed harder; needed where anything is pressed."""
+    """Force limit; required from level contact on."""
     simulate: tuple[str, ...] = ()
-    """Devices of the cell that are simulated, by name."""
+    """Names of the cell's devices to simulate."""
     motion: Path | None = None
-    """A program that the robot may run in the air, again and again, block by block."""
+    """Program that the robot may repeat in the air, block by block."""
     record: Path | None = None
-    """File, or folder, that takes what passes on the devices' links."""
+    """File or folder for the recording of the devices' links."""
 
 
 @dataclass(frozen=True)
 class CellDevice:
-    """A device of a cell as a case of the suites: of each test it is built anew, and left safe."""
+    """A cell's device as a case of the suites: built for each test, and left safe."""
 
     config: CellConfig
     hooks: Hooks
@@ -172,12 +172,12 @@ class CellDevice:
 
     @property
     def __name__(self) -> str:
-        """In the names of tests."""
+        """Name of the case in test names."""
         return self.device
 
     @asynccontextmanager
     async def __call__(self, _folder: Path) -> AsyncIterator[Rig[Device]]:
-        """The rig of one test; its link is never cut, and nobody but the device says whether it is at rest."""
+        """Yield the rig of one test; its link is never cut, and only the device reports whether it is at rest."""
         device = build_cell(self.config, self.hooks).devices[self.device]
         try:
             yield Rig(device, scope=self.scope, soon_s=SOON_S)
@@ -188,20 +188,20 @@ class CellDevice:
 
 @dataclass(frozen=True)
 class HilBench:
-    """A cell that the suites may use, and nobody else."""
+    """A cell that is locked for the suites."""
 
     asked: HilRequest
     config: CellConfig
     hooks: Hooks
 
     def cases(self, fixture: str) -> list[CellDevice]:
-        """Of the suite whose fixture that is: all devices that act, or those of the port."""
+        """Return the cases of a suite's fixture: all devices that act, or those of the port."""
         names = [name for name in self.config.devices if fixture in {"any_device", port_of(name)} and _acts(name)]
         scope = self.scope()
         return [CellDevice(self.config, self.hooks, name, scope) for name in names]
 
     def scope(self) -> TestScope:
-        """What is asked of the devices: what the cell's own job asks, never harder, and nothing beyond its limits."""
+        """Return the scope of the tests: values of the cell's job, within ``max_force_n`` and the cell's limits."""
         process, asked = self.config.process, self.asked
         return TestScope(
             force_n=min(process.force_n, asked.max_force_n or process.force_n),
@@ -214,13 +214,13 @@ class HilBench:
         )
 
     def allows(self, marks: set[str]) -> bool:
-        """A test with these marks goes no further than the level, and needs nothing that a real cell cannot give."""
+        """Whether a test with these marks is within the level and possible on a real cell."""
         if marks & {"polishd_cuts", "polishd_mutes", "polishd_fresh"}:
             return False
         return all(self.asked.level >= level for mark, level in NEEDED.items() if mark in marks)
 
     def does(self) -> Iterator[tuple[str, str, str]]:
-        """(device, real or simulated and what it is, what happens to it) in words, before anything does."""
+        """Yield (device, real or simulated type, action) for the description before any motion."""
         for name, section in self.config.devices.items():
             kind = "simulated, in place of" if name in self.asked.simulate else "REAL,"
             address = (section.model_extra or {}).get("address", "")
@@ -237,22 +237,22 @@ class HilBench:
     def _moves(self, name: str) -> str:
         port, scope, level = port_of(name), self.scope(), self.asked.level
         if not _acts(name):
-            return "is not tried: polishd probe asks it who it is"
+            return "is not tested: polishd probe identifies it"
         safe = {"robot": "is held", "actuator": "takes the force off and lifts", "spindle": "stops"}
-        said = f"is opened, asked who it is, made safe ({safe.get(port, 'stops')}) and closed, again and again"
+        text = f"is opened, identified, made safe ({safe.get(port, 'stops')}) and closed, repeatedly"
         if level >= Level.NO_CONTACT and port == "spindle":
-            said += f"; TURNS with up to {scope.rpm:g} rpm, both ways"
+            text += f"; TURNS with up to {scope.rpm:g} rpm, both ways"
         if level >= Level.NO_CONTACT and port == "robot" and scope.block is None:
-            said += "; does not move: no --motion PROGRAM says where it may"
+            text += "; does not move: no --motion PROGRAM is given"
         elif level >= Level.NO_CONTACT and port == "robot":
-            said += f"; MOVES along {self.asked.motion}, again and again, and lifts off it by 15 mm"
+            text += f"; MOVES along {self.asked.motion}, repeatedly, and lifts off it by 15 mm"
         if level >= Level.CONTACT and port == "actuator":
-            said += f"; LANDS and PRESSES with up to {scope.force_n:g} N on what is below the tool now"
-        return said
+            text += f"; LANDS and PRESSES with up to {scope.force_n:g} N on the surface below the tool"
+        return text
 
 
 def asked_in(config: pytest.Config) -> HilRequest:
-    """What the options of pytest ask for."""
+    """Return the request from pytest's options."""
     simulate = str(config.getoption("--hil-simulate"))
     return HilRequest(
         cell=config.getoption("--cell"),
@@ -265,7 +265,7 @@ def asked_in(config: pytest.Config) -> HilRequest:
 
 
 def foreseen(asked: HilRequest) -> HilBench:
-    """The cell as it would be tried, to say what will move: nothing is opened or started. Config- or PluginError."""
+    """Return the bench to describe the motion, without opening or starting anything. ConfigError or PluginError."""
     _require(asked)
     config = load_config(asked.cell)
     require_simulated(config, asked.simulate)
@@ -278,12 +278,12 @@ def foreseen(asked: HilRequest) -> HilBench:
 
 @contextmanager
 def bench(asked: HilRequest) -> Iterator[HilBench]:
-    """The cell, locked against daemons, its stand-ins running, its addresses claimed; errors before the suites."""
+    """Lock the cell against daemons, run its simulated devices, claim its addresses; errors come before the suites."""
     config = foreseen(asked).config
     with (
         locked(config.state_dir),
         tempfile.TemporaryDirectory(prefix="polishd-hil-") as scratch,
-        stand_ins(config, asked.simulate, Path(scratch)) as laid_over,
+        simulated_devices(config, asked.simulate, Path(scratch)) as laid_over,
     ):
         config = load_config(asked.cell, {**laid_over, **_one_cycle(asked, config, Path(scratch))})
         hooks = plugins_of(config)
@@ -301,9 +301,9 @@ def bench(asked: HilRequest) -> Iterator[HilBench]:
 
 
 async def _claim(config: CellConfig, hooks: Hooks, claims: KeptClaims) -> None:
-    """Claim the devices' addresses for as long as the suites run: between two tests no other program gets in.
+    """Claim the devices' addresses during the suites, so that no other program connects between two tests.
 
-    DeviceClaimed where another program has one. A device that does not answer is for the suites to report.
+    DeviceClaimed if another program has one. The suites report a device that does not answer.
     """
     devices = build_cell(config, hooks).devices
     with claims.keeping():
@@ -321,7 +321,7 @@ async def _claim(config: CellConfig, hooks: Hooks, claims: KeptClaims) -> None:
 
 
 def _one_cycle(asked: HilRequest, config: CellConfig, scratch: Path) -> dict[str, Any]:
-    """What to lay over the cell's config for it: what it learns is forgotten, what it did stays in a run folder."""
+    """Return the config overrides of one cycle: its estimates are dropped, its run folder is kept."""
     if asked.level < Level.CYCLE:
         return {}
     return {
@@ -334,9 +334,9 @@ def _one_cycle(asked: HilRequest, config: CellConfig, scratch: Path) -> dict[str
 
 def _require(asked: HilRequest) -> None:
     if asked.level >= Level.CONTACT and asked.max_force_n is None:
-        raise ConfigError("from --level contact on --max-force NEWTONS is needed: nothing is pressed harder")
+        raise ConfigError("--level contact and cycle need --max-force NEWTONS")
     if asked.max_force_n is not None and not 0.0 < asked.max_force_n < 1000.0:
-        raise ConfigError(f"--max-force {asked.max_force_n:g}: give newtons, more than 0")
+        raise ConfigError(f"--max-force {asked.max_force_n:g} N: must be greater than 0")
 
 
 def _acts(device: str) -> bool:
@@ -344,18 +344,18 @@ def _acts(device: str) -> bool:
 
 
 def _repeated(motion: Path) -> Any:
-    """The blocks of a program, one after another, from its beginning again after its last."""
+    """Return a function of the block number that repeats the blocks of a program."""
     try:
         lines = [line.strip() for line in motion.read_bytes().splitlines() if line.strip()]
     except OSError as error:
         raise ConfigError(f"--motion {motion}: {error.strerror}") from error
     if not lines:
-        raise ConfigError(f"--motion {motion}: it has no blocks")
+        raise ConfigError(f"--motion {motion}: the program has no blocks")
     return lambda number: lines[number % len(lines)]
 
 
 def words(bench: HilBench) -> Sequence[str]:
-    """The same, a line each."""
+    """Return the description, one line per device."""
     level = bench.asked.level.name.lower().replace("_", "-")
     rows = [f"{name} ({what.strip()}): {happens}" for name, what, happens in bench.does()]
     return [f"{bench.config.cell.name}, level {level}, one device after another:", *rows]

@@ -1,7 +1,7 @@
-"""The pytest plugin: it has the suites' tests run on a module's ``CASES``, and tells what a port demands.
+"""Pytest plugin: run the suites' tests on a module's ``CASES``, and show the port's requirement of a failed test.
 
-With ``--cell`` suites without cases run on the devices of that cell. Every pytest beside an installed polishd loads
-this: it imports nothing of polishd before a suite, or a cell, asks for it.
+With ``--cell`` suites without cases run on the devices of that cell. Pytest loads this plugin wherever polishd is
+installed: it imports polishd only when a suite or a cell needs it.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ import pytest
 
 SUITES = "polishd.testing.suites"
 FIXTURES = ("any_device", "robot", "actuator", "spindle", "loader", "force_sensor", "monitor")
-"""The suites' fixtures that give the rig of a case; ``any_device`` is for what all devices have in common."""
+"""Fixtures of the suites that yield the rig of a case; ``any_device`` is for the common tests of all devices."""
 MARKS = {
     "polishd_cuts": "cuts the link",
-    "polishd_mutes": "has the peer fall silent",
+    "polishd_mutes": "mutes the peer",
     "polishd_fresh": "needs a device that was just powered up",
-    "polishd_moves": "moves something, or could, and presses nothing",
+    "polishd_moves": "moves the device, or may move it, without pressing",
     "polishd_presses": "puts the tool on the part",
     "polishd_cycles": "polishes",
 }
 
 LEVELS = ("identify", "no-contact", "contact", "cycle")
 BENCH = pytest.StashKey[Any]()
-"""The cell, a ``bench.Bench``."""
+"""The cell, a ``HilBench``."""
 
 pytest.register_assert_rewrite(SUITES)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What ``polishd hil`` takes, too."""
+    """Add the options of ``polishd hil``."""
     group = parser.getgroup("polishd", "polishd: a real cell under the suites (docs/hil.md)")
-    group.addoption("--cell", type=Path, metavar="CELL.toml", help="the cell whose devices are tried")
-    group.addoption("--hil-level", choices=LEVELS, default="identify", help="how far: %(choices)s (%(default)s)")
-    group.addoption("--hil-max-force", type=float, metavar="N", help="nothing is pressed harder; from contact on")
-    group.addoption("--hil-simulate", default="", metavar="NAME,...", help="devices that are simulated instead")
-    group.addoption("--hil-motion", type=Path, metavar="PROGRAM", help="blocks that the robot may run in the air")
-    group.addoption("--hil-record", type=Path, metavar="FILE|DIR", help="records what passes on the devices' links")
+    group.addoption("--cell", type=Path, metavar="CELL.toml", help="cell whose devices are tested")
+    group.addoption("--hil-level", choices=LEVELS, default="identify", help="level: %(choices)s (%(default)s)")
+    group.addoption("--hil-max-force", type=float, metavar="N", help="force limit, required from contact on")
+    group.addoption("--hil-simulate", default="", metavar="NAME,...", help="devices to simulate")
+    group.addoption("--hil-motion", type=Path, metavar="PROGRAM", help="program that the robot may run in the air")
+    group.addoption("--hil-record", type=Path, metavar="FILE|DIR", help="file or folder to record the devices' links")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The marks of the suites' tests; and the cell, nobody else's until the end."""
+    """Register the marks of the suites' tests, and lock the cell until the end."""
     for mark, meaning in MARKS.items():
         config.addinivalue_line("markers", f"{mark}: {meaning}")
     if config.getoption("--cell") is None:
@@ -62,7 +62,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    """What will move, before it does."""
+    """Describe the motion before it begins."""
     if BENCH not in config.stash:
         return []
     from polishd.testing.hil_bench import words
@@ -72,14 +72,14 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makeitem(obj: object) -> None:
-    """The suites' tests are coroutines, whatever the mode of pytest-asyncio is."""
+    """Mark the suites' tests as asyncio tests in every mode of pytest-asyncio."""
     marks = getattr(obj, "pytestmark", [])
     if _of_suites(obj) and inspect.iscoroutinefunction(obj) and "asyncio" not in {mark.name for mark in marks}:
         pytest.mark.asyncio(obj)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Each of the module's ``CASES``, or of the cell's devices, is a case of every test of the suites in the module."""
+    """Run every test of the module's suites for each of its ``CASES``, or for each device of the cell."""
     if not _of_suites(metafunc.function):
         return
     given, cell = getattr(metafunc.module, "CASES", None), metafunc.config.stash.get(BENCH, None)
@@ -91,7 +91,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Of a cell's tests those that go too far for the level are left out."""
+    """Deselect a cell's tests above the level."""
     cell = config.stash.get(BENCH, None)
     if cell is None:
         return
@@ -104,7 +104,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Links that a test opens are of the device of the cell that it tries: for whoever records."""
+    """Assign links that a test opens to its device of the cell, for a recording."""
     device = _device(item)
     if device is None or BENCH not in item.config.stash:
         return (yield)
@@ -116,11 +116,11 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """A failure comes with what the port demands."""
+    """Add the port's requirement to a failure."""
     report = yield
     function: Any = getattr(item, "function", None)
     if report.failed and _of_suites(function):
-        report.sections.insert(0, ("what the port demands", inspect.getdoc(function) or ""))
+        report.sections.insert(0, ("requirement of the port", inspect.getdoc(function) or ""))
     return report
 
 
@@ -129,13 +129,13 @@ def _of_suites(obj: object) -> bool:
 
 
 def _on_cell(item: pytest.Item) -> bool:
-    """It is a suite's test on the cell that ``--cell`` names, or on a device of it."""
+    """Whether it is a suite's test on the cell of ``--cell``, or on one of its devices."""
     of_cell = "cell" in getattr(item, "fixturenames", ()) or _device(item) is not None
     return of_cell and _of_suites(getattr(item, "function", None))
 
 
 def _device(item: pytest.Item) -> str | None:
-    """The device of the cell that it tries; None where it tries none."""
+    """Return the device of the cell that it tests, or None."""
     given = getattr(getattr(item, "callspec", None), "params", {})
     return next((case.device for case in map(given.get, FIXTURES) if hasattr(case, "device")), None)
 

@@ -1,4 +1,4 @@
-"""The other end of a recorded link, for a driver as it is: a support case is a file, and a test ten lines.
+"""Replay of a recorded link for an unchanged driver: a recording becomes a test of ten lines.
 
 async with replayed(Path("case.wire.jsonl.gz"), "actuator") as link:
     actuator = build(options | {"address": link.endpoint})
@@ -21,58 +21,58 @@ from polishd.drivers.transport import lines as transport_lines
 from polishd.model.errors import ConfigError
 from polishd.util.wire_recording import Recording, WireMessage, read_recording
 
-# A recorded link as requests and what came upon them. What is asked again is answered as it was last.
+# A recorded link as requests and answers. A repeated request gets its last answer.
 
 OWN_ENDS = ("the connection is closed", "the line is closed", "the bus is closed")
-"""The driver closed it; whatever else ended a link is done again."""
+"""Ends of a link by the driver; any other end is replayed."""
 SHOWN = 48
-"""Bytes of a message in a mismatch."""
+"""Bytes of a message that an error shows."""
 
 
 @dataclass
 class RecordedExchange:
-    """A request, or nothing where a link was opened, and what came until the next one."""
+    """A request (empty at the opening of a link), and the data received until the next one."""
 
     line: int
-    """Of the recording's file."""
+    """Line of the recording's file."""
     at_s: float
     out: bytes
     came: list[tuple[float, bytes]] = field(default_factory=list)
-    """Seconds since the request, bytes."""
+    """(seconds since the request, data) of each answer."""
     cut: bool = False
-    """The link was lost upon it."""
+    """Whether the link was lost after it."""
 
 
 class ReplayDialect(Protocol):
-    """What of a message is its number, which is another one each time."""
+    """Message framing, and the number in a message that changes each time."""
 
     def cut(self, data: bytes) -> int | None:
-        """Length of the first message; None where it is not whole yet."""
+        """Return the length of the first message; None while it is incomplete."""
         ...
 
     def key(self, message: bytes) -> bytes:
-        """The message without its number."""
+        """Return the message without its number."""
         ...
 
     def answer(self, recorded: bytes, asked: bytes, now: bytes) -> bytes:
-        """What came, with the number of ``now`` in the place of that of ``asked``."""
+        """Return the recorded answer with the number of ``now`` instead of that of ``asked``."""
         ...
 
 
 class ModbusTcp:
-    """Its number is the transaction's."""
+    """Modbus TCP: the number is the transaction's."""
 
     def cut(self, data: bytes) -> int | None:
-        """See Dialect."""
+        """See ReplayDialect."""
         end = 6 + int.from_bytes(data[4:6]) if len(data) >= 6 else len(data) + 1
         return end if len(data) >= end else None
 
     def key(self, message: bytes) -> bytes:
-        """See Dialect."""
+        """See ReplayDialect."""
         return message[2:]
 
     def answer(self, recorded: bytes, asked: bytes, now: bytes) -> bytes:
-        """See Dialect."""
+        """See ReplayDialect."""
         done = b""
         while (end := self.cut(recorded)) is not None:
             frame, recorded = recorded[:end], recorded[end:]
@@ -81,19 +81,19 @@ class ModbusTcp:
 
 
 class NumberedLinesDialect:
-    """``$number,body*checksum``."""
+    """Numbered lines: ``$number,body*checksum``."""
 
     def cut(self, data: bytes) -> int | None:
-        """See Dialect."""
+        """See ReplayDialect."""
         return data.find(b"\n") + 1 or None
 
     def key(self, message: bytes) -> bytes:
-        """See Dialect."""
+        """See ReplayDialect."""
         found = transport_lines.decode(message.removesuffix(b"\n"))
         return message if found is None else found[1].encode()
 
     def answer(self, recorded: bytes, asked: bytes, now: bytes) -> bytes:
-        """See Dialect."""
+        """See ReplayDialect."""
         numbers = [transport_lines.decode(one.removesuffix(b"\n")) for one in (asked, now)]
         lines = []
         for line in recorded.splitlines(keepends=True):
@@ -104,29 +104,29 @@ class NumberedLinesDialect:
 
 
 class UnnumberedDialect:
-    """No numbers. Where a message ends only the recording knows."""
+    """Messages without numbers; the recording gives their ends."""
 
     def __init__(self, outs: Sequence[bytes]) -> None:
         self._outs = sorted(set(outs), key=len, reverse=True)
 
     def cut(self, data: bytes) -> int | None:
-        """See Dialect."""
+        """See ReplayDialect."""
         found = next((len(out) for out in self._outs if data.startswith(out)), None)
         if found is None and not any(out.startswith(data) for out in self._outs):
             return len(data)
         return found
 
     def key(self, message: bytes) -> bytes:
-        """See Dialect."""
+        """See ReplayDialect."""
         return message
 
     def answer(self, recorded: bytes, asked: bytes, now: bytes) -> bytes:  # noqa: ARG002 -- there is no number
-        """See Dialect."""
+        """See ReplayDialect."""
         return recorded
 
 
 def exchanges(passed: Sequence[tuple[int, WireMessage]]) -> list[RecordedExchange]:
-    """Of one link, with the lines of its records."""
+    """Return the exchanges of one link, with the lines of its records."""
     found: list[RecordedExchange] = []
     for line, one in passed:
         if one.way in ("open", "out") or not found:
@@ -139,7 +139,7 @@ def exchanges(passed: Sequence[tuple[int, WireMessage]]) -> list[RecordedExchang
 
 
 class ReplayScript:
-    """Where in its recording a link is."""
+    """Position of a link in its recording."""
 
     def __init__(
         self,
@@ -148,7 +148,7 @@ class ReplayScript:
         dialect: ReplayDialect | None = None,
         polls: frozenset[bytes] | None = None,
     ) -> None:
-        """``name`` for messages. ``polls``: keys of what may come more or less often; without them, what does so."""
+        """``name`` for messages. ``polls``: keys of requests whose number may differ; default: the repeated ones."""
         self._name, self._found, self._next = name, found, 0
         outs = [one.out for one in found if one.out]
         self.dialect = dialect or _dialect(outs)
@@ -157,14 +157,14 @@ class ReplayScript:
         self._polls = polls or {key for key, times in Counter(self._keys).items() if times > 1}
 
     def opened(self) -> RecordedExchange | None:
-        """What came when the link was opened, before anything was asked."""
+        """Return the data received at the opening of the link, before any request."""
         ahead = self._ahead(b"")
         if ahead is None:
             ahead = self._behind(b"")
         return None if ahead is None else self._at(ahead)
 
     def asked(self, message: bytes) -> RecordedExchange:
-        """The exchange that a whole message of the driver is of; AssertionError where there is none."""
+        """Return the exchange of a complete message of the driver; AssertionError if there is none."""
         key = self.dialect.key(message)
         found = self._ahead(key)
         if found is None and (self._again is None or key in self._again):
@@ -174,7 +174,7 @@ class ReplayScript:
         return self._at(found)
 
     def has(self, message: bytes) -> bool:
-        """Whether it comes next, or came before."""
+        """Whether the message is next, or was before."""
         key = self.dialect.key(message)
         return self._ahead(key) is not None or self._behind(key) is not None
 
@@ -183,7 +183,7 @@ class ReplayScript:
         return self._found[found]
 
     def _ahead(self, key: bytes) -> int | None:
-        """The next of that content; only what occurs again and again is passed over on the way."""
+        """Return the next exchange of that key; only polls may be skipped."""
         for at in range(self._next, len(self._found)):
             if self._keys[at] == key:
                 return at
@@ -208,7 +208,7 @@ def _dialect(outs: Sequence[bytes]) -> ReplayDialect:
 
 
 def _shown(message: bytes) -> str:
-    """Text as text, other bytes as hexadecimal ones."""
+    """Format text as text, and other bytes in hexadecimal."""
     cut = message[:SHOWN]
     text = repr(cut)[1:] if all(32 <= byte < 127 or byte in b"\r\n\t" for byte in cut) else cut.hex(" ")
     return text + (" ..." if len(message) > SHOWN else "")
@@ -218,27 +218,27 @@ Send = Callable[[bytes], None]
 
 
 class ReplayLink:
-    """One end of a wire, as the recording has it."""
+    """Peer of a driver's link that replays the recording."""
 
     def __init__(self, script: ReplayScript, *, paced: bool) -> None:
         self.endpoint = ""
         """The address for the driver's options."""
         self.mismatch: AssertionError | None = None
-        """The first one; the link is closed over it, and the block raises it."""
+        """The first mismatch: it closes the link, and the block raises it."""
         self._script, self._paced = script, paced
         self._got = b""
         self._loop = asyncio.get_running_loop()
         self._timers: list[asyncio.TimerHandle] = []
 
     def connected(self, send: Send, close: Callable[[], None]) -> None:
-        """The driver opened it."""
+        """Handle the driver's connection."""
         self.end()
         self._got, self._send, self._close = b"", send, close
         if (greeting := self._script.opened()) is not None:
             self._serve(greeting, b"")
 
     def came(self, data: bytes) -> None:
-        """The driver sent that."""
+        """Handle data from the driver."""
         self._got += data
         while self._got and (end := self._script.dialect.cut(self._got)) is not None:
             message, self._got = self._got[:end], self._got[end:]
@@ -251,7 +251,7 @@ class ReplayLink:
             self._serve(exchange, message)
 
     def end(self) -> None:
-        """Nothing more is sent."""
+        """Stop sending."""
         for timer in self._timers:
             timer.cancel()
         self._timers.clear()
@@ -269,7 +269,7 @@ class ReplayLink:
             self._later(max((after_s for after_s, _ in came), default=0.0), self._hang_up)
 
     def _later(self, after_s: float, act: Callable[..., None], *given: object) -> None:
-        """At once where nothing is paced."""
+        """Call after a delay, or at once without ``paced``."""
         if not self._paced:
             act(*given)
             return
@@ -283,13 +283,13 @@ class ReplayLink:
 
 @asynccontextmanager
 async def replayed(recording: Path, role: str, *, link: str = "", paced: bool = False) -> AsyncIterator[ReplayLink]:
-    """That device's end of its link, for the time of the block: TCP for TCP, a pseudo-terminal for serial and CAN.
+    """Replay a device's end of its link during the block: TCP for TCP, a pseudo-terminal for serial and CAN.
 
-    ``link``: which one, of a device that has several. ``paced``: answers take as long as they took; else none.
+    ``link``: one of a device's several links. ``paced``: answers have the recorded delay, otherwise none.
 
     Raises:
-        ConfigError: the file, or that device in it, is not what is asked for; with file and line.
-        AssertionError: as the block ends, where the driver sent what is not recorded: what, and what is.
+        ConfigError: The file or its device does not fit; with file and line.
+        AssertionError: At the end of the block, if the driver sent a message that is not recorded; with both messages.
     """
     found = await asyncio.to_thread(read_recording, recording)
     name, passed = _of_link(found, role, link)
@@ -314,17 +314,15 @@ def _of_link(recording: Recording, role: str, link: str) -> tuple[str, list[tupl
     passed = recording.of(role)
     links = list(dict.fromkeys(one.link for _, one in passed))
     if link not in links and (link or len(links) > 1):
-        raise ConfigError(f"{recording.path}: {role} has the links {', '.join(links)}; say link= one of them")
+        raise ConfigError(f"{recording.path}: {role} has the links {', '.join(links)}. Pass one as link=.")
     name = link or links[0]
     if any(one.values is not None for _, one in passed):
-        raise ConfigError(
-            f"{recording.path}: {role} is recorded as values of variables; replayed_controller plays them"
-        )
+        raise ConfigError(f"{recording.path}: {role} is recorded as values of variables. Use replayed_controller.")
     return name, [(line, one) for line, one in passed if one.link == name]
 
 
 def _slcan(numbered: tuple[int, WireMessage]) -> tuple[int, WireMessage]:
-    """A frame as a serial adapter writes it."""
+    """Return a frame as a serial adapter writes it."""
     line, one = numbered
     if one.identifier is None:
         return numbered
@@ -350,14 +348,14 @@ async def _tcp(served: ReplayLink) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def _pty(served: ReplayLink, *, on_bus: bool) -> AsyncIterator[None]:
-    ours, theirs = os.openpty()  # theirs stays open: a driver may come again
+    ours, theirs = os.openpty()  # theirs stays open: a driver may reconnect
     tty.setraw(theirs)
     os.set_blocking(ours, False)
     loop, opened = asyncio.get_running_loop(), False
     rest = b""
 
     def close() -> None:
-        """A line whose other end is gone is hung up."""
+        """Hang up the line."""
         if loop.remove_reader(ours):
             os.close(ours)
 
@@ -365,7 +363,7 @@ async def _pty(served: ReplayLink, *, on_bus: bool) -> AsyncIterator[None]:
         nonlocal opened, rest
         data = os.read(ours, 4096)
         now = not opened
-        if on_bus:  # commands to the adapter are its own, not the bus's; O opens it
+        if on_bus:  # commands to the adapter are not bus frames; O opens it
             *lines, rest = (rest + data).split(b"\r")
             now = b"O" in lines
             data = b"".join(line + b"\r" for line in lines if line.startswith(b"t"))
@@ -385,7 +383,7 @@ async def _pty(served: ReplayLink, *, on_bus: bool) -> AsyncIterator[None]:
 
 
 def _write(ours: int, text: bytes) -> None:
-    """What the line has no room for is lost, as on a wire that nobody reads."""
+    """Write to the line; data beyond its buffer is lost, as on an unread line."""
     try:
         os.write(ours, text)
     except BlockingIOError:

@@ -1,4 +1,4 @@
-"""A recorded controller that loads files, for its driver as it is: its variables and its place for files.
+"""Replay of a recorded controller that loads files: its variables and its file delivery.
 
 async with replayed_controller(Path("case.wire.jsonl.gz"), "robot") as plc:
     robot = Handover("PLC", profile, plc.variables, plc)
@@ -27,23 +27,23 @@ Numbered = Sequence[tuple[int, WireMessage]]
 
 
 class ReplayVariableDialect:
-    """A Dialect: readings, and values that are written; which heartbeat it is nobody minds."""
+    """A ReplayDialect of readings and writes; the value of a heartbeat is ignored."""
 
     def cut(self, data: bytes) -> int | None:
-        """See Dialect. Nothing comes in pieces."""
+        """See ReplayDialect. Messages are always complete."""
         return len(data)
 
     def key(self, message: bytes) -> bytes:
-        """See Dialect."""
+        """See ReplayDialect."""
         return BEAT if message != READ and set(json.loads(message)) == {"heartbeat"} else message
 
     def answer(self, recorded: bytes, asked: bytes, now: bytes) -> bytes:  # noqa: ARG002 -- there is no number
-        """See Dialect."""
+        """See ReplayDialect."""
         return recorded
 
 
 class RecordedController:
-    """What the recording has of one. As ``Delivery``, it takes the files that were delivered then."""
+    """A controller from the recording. As ``Delivery`` it accepts the recorded files."""
 
     def __init__(self, name: str, variables: Numbered, files: Numbered) -> None:
         """``name`` for messages."""
@@ -51,20 +51,20 @@ class RecordedController:
         self._files = _delivered(files)
         self._passed = dict(variables)
         self._ends: dict[int, str] = {}
-        """By line: how the link ended upon it."""
+        """End of the link after a record, by line."""
         found = self._exchanges()
         self._timed = frozenset({BEAT, *(one.out for one in found if _taken_back(one.out))})
-        """Keys of what is written when its time is over, whatever else is ordered meanwhile."""
+        """Keys of writes that are due by time, independent of other commands."""
         self._script = ReplayScript(name, found, ReplayVariableDialect(), frozenset({READ, *self._timed}))
         self.mismatch: AssertionError | None = None
-        """The first one; the link is lost over it, and the block raises it."""
+        """The first mismatch: the link is lost, and the block raises it."""
 
     def variables(self) -> Replayed:
-        """A new, closed link."""
+        """Return a new, closed link."""
         return Replayed(self)
 
-    async def put(self, name: str, text: bytes) -> None:  # noqa: ARG002 -- its proof's dwells are drawn anew each time
-        """See Delivery: the next file, by its name, that was delivered or refused; so is this one."""
+    async def put(self, name: str, text: bytes) -> None:  # noqa: ARG002 -- the dwells of its line check are random
+        """See Delivery: replay the next recorded delivery of that name."""
         line, recorded, why = self._files.pop(0) if self._files else (0, "", "")
         if recorded != name:
             has = f"has {recorded!r} (line {line})" if recorded else "has no more files"
@@ -73,21 +73,21 @@ class RecordedController:
             raise DeviceRefused(why)
 
     def differs(self, error: AssertionError) -> LinkError:
-        """What to raise over it."""
+        """Record the mismatch; return the error to raise."""
         self.mismatch = self.mismatch or error
         return LinkError(str(error))
 
     def opened(self) -> str:
-        """How the link was lost upon it; empty where it was not."""
+        """Return how the link was lost at the opening; empty if it was not."""
         exchange = self._script.opened()
         return CUT_OFF if exchange is None else self._ends.get(exchange.line, "")
 
     def is_early(self, message: bytes) -> bool:
-        """Whether it is recorded, but only of a later time, and was due by the driver's clock alone."""
+        """Whether the message is recorded only later, and was due by the driver's clock."""
         return ReplayVariableDialect().key(message) in self._timed and not self._script.has(message)
 
     def asked(self, message: bytes) -> tuple[WireMessage, str]:
-        """What is recorded of it, and how the link was lost upon it."""
+        """Return the recorded answer, and how the link was lost after it."""
         try:
             line = self._script.asked(message).line
         except AssertionError as error:
@@ -107,7 +107,7 @@ class RecordedController:
 
 
 class Replayed:
-    """A Variables of it."""
+    """Variables of a recorded controller."""
 
     def __init__(self, controller: RecordedController) -> None:
         self._controller = controller
@@ -123,7 +123,7 @@ class Replayed:
         self._lost = "is not open"
 
     async def identify(self) -> DeviceIdentity:
-        """See Variables. Who answered is not recorded."""
+        """See Variables. The identity is not recorded."""
         self._require()
         return DeviceIdentity("recorded", "controller", "", "")
 
@@ -136,7 +136,7 @@ class Replayed:
         return VariableSnapshot(one.at_s if one.clock_s is None else one.clock_s, values, one.changed_s or {})
 
     async def write(self, values: Mapping[str, Value]) -> None:
-        """See Variables. A first heartbeat or an order's taking back comes when it is due: sooner than then, maybe."""
+        """See Variables. The first heartbeat, or the reset of a command, may be due earlier than in the recording."""
         if self._controller.is_early(_written(values)):
             self._require()
         else:
@@ -154,20 +154,18 @@ class Replayed:
 
 @asynccontextmanager
 async def replayed_controller(recording: Path, role: str) -> AsyncIterator[RecordedController]:
-    """The controller of that device, for the time of the block. Readings come as the driver asks for them.
+    """Replay the controller of a device during the block. Readings follow the driver's requests.
 
     Raises:
-        ConfigError: the file, or that device in it, is not what is asked for; with file and line.
-        AssertionError: as the block ends, where the driver sent or delivered what is not recorded: what, and what is.
+        ConfigError: The file or its device does not fit; with file and line.
+        AssertionError: At the end of the block, if the driver wrote or delivered data that is not recorded; with both.
     """
     found = await asyncio.to_thread(read_recording, recording)
     passed = found.of(role)
     files = {one.link for _, one in passed if one.values is not None and "sha256" in one.values}
     variables = [(line, one) for line, one in passed if one.link not in files]
     if not any(one.values is not None for _, one in variables):
-        raise ConfigError(
-            f"{recording}: {role} is recorded as bytes, not as a controller's variables; replayed plays it"
-        )
+        raise ConfigError(f"{recording}: {role} is recorded as bytes, not as a controller's variables. Use replayed.")
     delivered = [(line, one) for line, one in passed if one.link in files]
     controller = RecordedController(f"{recording.name}, {role} on {variables[0][1].link}", variables, delivered)
     try:
@@ -178,7 +176,7 @@ async def replayed_controller(recording: Path, role: str) -> AsyncIterator[Recor
 
 
 def _delivered(files: Numbered) -> list[tuple[int, str, str]]:
-    """(line, name, how it ended) of each."""
+    """Return (line, name, end) of each delivery."""
     found: list[tuple[int, str, str]] = []
     for line, one in files:
         if one.values is not None:
@@ -189,7 +187,7 @@ def _delivered(files: Numbered) -> list[tuple[int, str, str]]:
 
 
 def _taken_back(out: bytes) -> bool:
-    """Whether an order is: one value, which is off."""
+    """Whether a write resets a command: one value, which is off."""
     values = json.loads(out) if out not in (b"", READ) else {}
     return len(values) == 1 and not any(values.values())
 

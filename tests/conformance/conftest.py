@@ -10,19 +10,19 @@ import pytest
 from tests.conformance.rigs.actuators import PATIENT
 
 PROMPT_S = 2.5
-"""A dead link is known after so long: less than a second, and room for what else a machine does."""
+"""Longest time to detect a dead link: less than a second, with a margin for a busy computer."""
 BOUND_S = 8 * PATIENT.silence_s
-"""No call to a dead device takes longer: four answers, each of which may still come as late again."""
+"""Longest call to a dead device: four answers, each of which may arrive late by as much again."""
 
 FULL = {"test_samples_feed_the_watchdog", "test_samples_keep_it_running"}
 SLOW_RIG, ITS_OWN = "[universal_robots]", {"test_all_is_executed_in_order_and_once", "test_hold_returns_when_it_stands"}
 """A controller that takes seconds to boot and to load: of the robots' tests these alone."""
 ONE_OF_EACH = {
-    "test_make_safe_on_a_cut_link_says_so_in_bounded_time": (),
+    "test_make_safe_on_a_cut_link_fails_in_bounded_time": (),
     "test_a_silent_link_is_known_at_once": (),
-    "test_make_safe_on_a_silent_link_says_so_in_bounded_time": (),
-    "test_opening_a_silent_link_says_so_in_bounded_time": (),
-    "test_without_samples_it_retracts_by_itself": (),
+    "test_make_safe_on_a_silent_link_fails_in_bounded_time": (),
+    "test_opening_a_silent_link_fails_in_bounded_time": (),
+    "test_without_samples_it_retracts": (),
     "test_impossible_forces_are_refused": ("force_n",),
 }
 """Tests of the suites that wait, by name: tests/kinds.py."""
@@ -44,5 +44,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 async def seen(condition: Callable[[], bool]) -> None:
     """Look at the machine itself until it is so: pytest's timeout is the limit."""
-    while not condition():  # noqa: ASYNC110 -- the machine tells nobody
+    while not condition():  # noqa: ASYNC110 -- the machine sends no event
         await asyncio.sleep(0.01)

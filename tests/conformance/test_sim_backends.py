@@ -152,10 +152,10 @@ class Cells:
         self.booted[place.cell, place.device] = int(pid)
 
     def history(self, place: Place) -> list[dict[str, Any]]:
-        """What the witness tells of the device; a line may just be being written."""
+        """Events of the device in the simulator's log; the last line may be incomplete."""
         lines = (self.get(place.cell).state / "sim.log").read_text().splitlines(keepends=True)
-        told = [line for line in lines if f'"device": "{place.device}"' in line and line.endswith("\n")]
-        return [json.loads(line) for line in told]
+        events = [line for line in lines if f'"device": "{place.device}"' in line and line.endswith("\n")]
+        return [json.loads(line) for line in events]
 
     def at_rest(self, place: Place) -> bool:
         """Whether the machine itself exerts nothing and stands, as its witness says (it speaks a moment later)."""
@@ -164,8 +164,8 @@ class Cells:
         begins, ends = AT_REST[place.device]
 
         def rests() -> bool:
-            told = [event["event"] for event in self.history(place) if event["event"] in {begins, *ends}]
-            return bool(told) and told[-1] in ends
+            events = [event["event"] for event in self.history(place) if event["event"] in {begins, *ends}]
+            return bool(events) and events[-1] in ends
 
         try:
             return bool(wait_for(rests, "rest"))
@@ -496,8 +496,8 @@ async def test_make_safe_in_contact_takes_the_force_off_before_it_lifts(
     await actuator.device.make_safe()
     await actuator.device.make_safe()
     assert actuator.safe()
-    told = [event["event"] for event in cells.history(place)[before:]]
-    order = [name for name in told if name in {"force_zero", "tool_lifted", "retracted"}]
+    events = [event["event"] for event in cells.history(place)[before:]]
+    order = [name for name in events if name in {"force_zero", "tool_lifted", "retracted"}]
     assert order == ["force_zero", "tool_lifted", "retracted"]
 
 

@@ -168,7 +168,7 @@ def test_neither_side_acts_on_a_frame_with_one_wrong_bit(
 
 MODBUS, ASCII = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
 (LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
-(TOLD,) = codec.blocks(MODBUS.registers, MODBUS.told, 125)
+(IDENTITY,) = codec.blocks(MODBUS.registers, MODBUS.identity_values, 125)
 STATES = ("retracted", "extending", "contact", "retracting", "fault")
 SET_POINT = MODBUS.registers["new_set_point"]
 
@@ -250,9 +250,9 @@ def test_what_the_actuator_measures_is_what_the_driver_reads(
 
 @given(boots=U32)
 def test_the_actuators_identity_is_read(boots: int) -> None:
-    told = ReadInputRegistersRequest(address=TOLD.address, count=TOLD.count, dev_id=1)
+    told = ReadInputRegistersRequest(address=IDENTITY.address, count=IDENTITY.count, dev_id=1)
     answer = asked(told, table(boots=boots))
-    identity = codec.identity(MODBUS, codec.values_of(MODBUS, TOLD, answer.registers))
+    identity = codec.identity(MODBUS, codec.values_of(MODBUS, IDENTITY, answer.registers))
     assert (identity.vendor, identity.model, identity.serial) == ("polishd", "simulated VC50", "SIM-V1")
     assert (identity.firmware, identity.boot_id) == ("1.0", str(boots))
 

@@ -48,12 +48,12 @@ def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Pat
     files, case = write_small(tmp_path), tmp_path / "case.wire.jsonl.gz"
     done = hil(files.cell, "--simulate", "robot,spindle", "--yes", "--record", str(case))
     assert done.returncode == 5, done.stdout + done.stderr
-    assert re.search(r"test_it_says_who_it_is\[actuator\] (FAILED|ERROR)", done.stdout)
+    assert re.search(r"test_it_identifies_itself\[actuator\] (FAILED|ERROR)", done.stdout)
     for device in ("robot", "spindle"):
         found = re.findall(rf"^\S+\[{device}\] (\w+)", done.stdout, re.MULTILINE)
         assert len(found) > 10
         assert set(found) == {"PASSED"}
-    assert "what the port demands" in done.stdout
+    assert "requirement of the port" in done.stdout
     found = read_recording(case)
     assert {one.role for one in found.passed} == {"robot", "spindle"}, "the actuator has no line to open"
     assert {one.way for one in found.passed} == {"open", "out", "in", "end"}
@@ -71,7 +71,7 @@ def test_a_program_reads_what_was_found(tmp_path: Path) -> None:
     assert {"actuator", "robot", "spindle", "metrology"} <= {one["device"] for one in told["devices"]}
     assert told["kept"] > 20
     assert told["broken"] == len(told["problems"]) > 0
-    assert any(one["demand"] == "test_it_says_who_it_is[actuator]" and one["why"] for one in told["problems"])
+    assert any(one["demand"] == "test_it_identifies_itself[actuator]" and one["why"] for one in told["problems"])
     assert "FAILED" in done.stderr or "ERROR" in done.stderr
 
 

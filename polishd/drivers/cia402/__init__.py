@@ -1,1 +1,1 @@
-"""Drives off the shelf on CANopen, as their EDS files describe them (CiA 402): docs/protocols/cia402.md."""
+"""CiA 402 drives on CANopen, described by their EDS files: docs/protocols/cia402.md."""

@@ -1,7 +1,7 @@
-"""A force actuator behind a drive of CiA 402: a voice coil in profile torque mode.
+"""Force actuator on a CiA 402 drive: a voice coil in profile torque mode.
 
-Without current the axis lifts the tool by itself, by a spring or a counterweight: so it does when the drive hears
-nothing, and when it has no power. What the drive does beyond that to lift it faster is the config's ``lift``.
+Without current a spring or a counterweight lifts the tool: when the drive receives no heartbeat, and without power.
+The config's ``lift`` says how the motor adds to that.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from polishd.drivers.cia402.drive import POLL_S, CanNodeAddress, CanopenConnecti
 from polishd.drivers.cia402.protocol import Address, Dictionary, DriveState402
 from polishd.drivers.transport.background import PeriodicTimer
 
-# Whether a tool that is pressed touches, by where it is: an axis with a motor has no force sensor. Pure.
+# Contact detection by position: a motor axis has no force sensor. Pure.
 
 WINDOW_S = 0.08
-"""Speeds are means over at least so long."""
+"""Shortest time over which a speed is averaged, s."""
 LANDED_MM_S = 1.0
-"""A tool that has landed while the robot stands is slower than that, whatever is told of how fast it travels."""
+"""Upper speed limit of a landed tool while the robot stands still, whatever the configured travel speed is."""
 
 
 class ContactDetector:
-    """Fed with positions (mm out of the tool's rest) while the tool is pressed outwards.
+    """Contact detector, fed with positions (mm from the tool's rest) while the tool is pressed outward.
 
-    In the air the tool travels out, as fast as the drive lets it; on the part it goes with the part. So it touches
-    where it is off its rest, short of its end, and travels slower than ``travel_mm_s``, either way.
+    In the air the tool travels outward at the drive's speed limit; on the part it follows the part. It is in contact
+    if it is off its rest, short of its end, and slower than ``travel_mm_s`` in both directions.
     """
 
     def __init__(self, *, rest_mm: float, end_mm: float, travel_mm_s: float) -> None:
@@ -40,16 +40,16 @@ class ContactDetector:
         self._end_mm = end_mm
         self._travel_mm_s = travel_mm_s
         self.landed = False
-        """As of the last reading, for a robot that stands: it touches, and stands, too."""
+        """At the last reading, for a robot at standstill: the tool is in contact and stands still."""
         self._positions: deque[tuple[float, float]] = deque()
 
     def reset(self) -> None:
-        """Not pressed: what was seen before says nothing."""
+        """Forget the positions: the tool is not pressed."""
         self._positions.clear()
         self.landed = False
 
     def feed(self, at_s: float, position_mm: float) -> bool:
-        """A reading; whether the tool touches. It takes ``WINDOW_S`` until the first yes."""
+        """Add a reading; return whether the tool is in contact. True after ``WINDOW_S`` at the earliest."""
         seen = self._positions
         seen.append((at_s, position_mm))
         while len(seen) > 2 and seen[1][0] <= at_s - WINDOW_S:
@@ -65,7 +65,7 @@ class ContactDetector:
 
 SAMPLE_S = 0.05
 MODE_S = 0.5
-"""For a change of the mode, with the force off already."""
+"""Longest time of a mode change, with the force off."""
 
 log = logging.getLogger(__name__)
 
@@ -74,62 +74,62 @@ Lift = Literal["spring", "torque", "position"]
 
 @dataclass(frozen=True, slots=True)
 class ActuatorScale:
-    """What the drive's numbers mean, and how it lands and lifts."""
+    """Units of the drive's objects, and parameters for landing and lifting."""
 
     n_per_permille: float
-    """Of 6071h and 6077h, positive: presses; negative where a positive torque lifts."""
+    """Unit of 6071h and 6077h. Positive: a positive torque presses; negative: it lifts."""
     mm_per_increment: float
-    """Of 6064h, positive: outwards; negative where it counts down."""
+    """Unit of 6064h. Positive: it counts up outward; negative: down."""
     rest_increments: int = 0
-    """6064h with the tool at its rest."""
+    """6064h with the tool at rest."""
     rest_mm: float = 0.1
-    """So near its rest the tool counts as up."""
+    """Distance from its rest within which the tool is up."""
     balance_n: float = 0.0
-    """What the axis lifts with, without current: the drive presses with so much more than the tool does."""
+    """Lifting force of the axis without current; the drive adds it to the pressing force."""
     max_n: float = 50.0
     landing_n: float = 1.0
-    """Pressed with so much, at most, until it touches."""
+    """Largest force of landing, until contact."""
     slope_n_s: float = 500.0
     travel_mm_s: float = 1.0
-    """Slower than that, the tool goes with the part; faster, it is in the air."""
+    """Below this speed the tool follows the part; above, it is in the air."""
     max_speed: int | None = None
-    """6080h, in the drive's own unit: no faster does it land. None: left as it is."""
+    """6080h, the speed limit of landing, in the drive's unit. None: unchanged."""
     lift: Lift = "spring"
     lift_n: float = 1.0
-    """With ``torque``."""
+    """Lifting force with ``torque``."""
     lift_mm_s: float = 10.0
-    """With ``position``."""
+    """Lifting speed with ``position``."""
 
     def torque(self, force_n: float) -> int:
-        """The drive's torque for a force of the tool, against what lifts it."""
+        """Return the drive's torque for a tool force, against the lifting force."""
         return round((force_n + self.balance_n) / self.n_per_permille)
 
     @property
     def lifting_torque(self) -> int:
-        """The drive's torque that lifts, together with what does so by itself."""
+        """Torque of the drive that adds to the lifting force of the axis."""
         return round(-self.lift_n / self.n_per_permille)
 
     def force_n(self, torque: int) -> float:
-        """And back. What pulls the tool up is no force on the part."""
+        """Return the tool force of a torque, 0 for a lifting torque."""
         return max(torque * self.n_per_permille - self.balance_n, 0.0)
 
     def position_mm(self, increments: int) -> float:
-        """Out of its rest."""
+        """Return the distance from the rest."""
         return (increments - self.rest_increments) * self.mm_per_increment
 
     def settings(self) -> dict[Address, int]:
-        """What the drive is told at open."""
-        told = {protocol.TORQUE_SLOPE: max(round(self.slope_n_s / abs(self.n_per_permille)), 1)}
+        """Return the objects that ``open`` writes to the drive."""
+        settings = {protocol.TORQUE_SLOPE: max(round(self.slope_n_s / abs(self.n_per_permille)), 1)}
         if self.max_speed is not None:
-            told[protocol.MAX_MOTOR_SPEED] = self.max_speed
+            settings[protocol.MAX_MOTOR_SPEED] = self.max_speed
         if self.lift == "position":
-            told[protocol.PROFILE_VELOCITY] = max(round(self.lift_mm_s / abs(self.mm_per_increment)), 1)
-        return told
+            settings[protocol.PROFILE_VELOCITY] = max(round(self.lift_mm_s / abs(self.mm_per_increment)), 1)
+        return settings
 
 
 @dataclass(frozen=True, slots=True)
 class Cia402ActuatorReading:
-    """What the drive says of itself, and what follows."""
+    """Reading of the drive, and the tool's state."""
 
     state: DriveState402
     force_n: float
@@ -141,7 +141,7 @@ class Cia402ActuatorReading:
 
     @property
     def name(self) -> str:
-        """The state, in an actuator's words."""
+        """State of the actuator."""
         if self.fault:
             return "fault"
         if self.retracted:
@@ -152,15 +152,15 @@ class Cia402ActuatorReading:
 
 
 class Cia402Actuator:
-    """A ForceActuator. Our heartbeat goes out with what somebody reads; without it the drive takes the current off.
+    """A ForceActuator. Reading sends our heartbeat; without it the drive switches the current off.
 
-    A lost link stays lost until ``open``; only ``retract`` and ``make_safe`` connect once by themselves.
+    A lost link stays lost until ``open``; only ``retract`` and ``make_safe`` reconnect once.
     """
 
     def __init__(
         self, place: CanNodeAddress, dictionary: Dictionary, scale: ActuatorScale, times: ActuatorTimes
     ) -> None:
-        """ConfigError where the drive of the EDS file has no profile torque mode, or none to lift with."""
+        """ConfigError if the EDS file has no profile torque mode, or no mode for lifting."""
         self._scale = scale
         self._times = times
         lifts = scale.lift == "position"
@@ -184,7 +184,7 @@ class Cia402Actuator:
         return self._times
 
     async def open(self) -> None:
-        """See Device. Also writes slopes, heartbeats and what the drive does in our absence."""
+        """See Device. Also writes slopes, heartbeats and the drive's reaction to a lost heartbeat."""
 
         async def look(link: CanopenConnection) -> None:
             wanted = abs(self._scale.torque(self._scale.max_n))
@@ -203,12 +203,12 @@ class Cia402Actuator:
         return await self._axis.identify()
 
     async def status(self) -> DeviceStatus:
-        """See Device. Safe means without current, and up."""
+        """See Device. Safe means without current and lifted."""
         reading = await self._read(self._axis.link)
         return DeviceStatus(not reading.fault, reading.retracted, reading.name, reading.detail)
 
     async def set_force(self, force_n: float) -> None:
-        """See ForceActuator. Returns once the tool touches, or for 0 at once."""
+        """See ForceActuator. Return once the tool is in contact, or for 0 at once."""
         link = self._axis.link
         if not 0.0 <= force_n <= self._scale.max_n:
             raise DeviceRefused(f"{self._axis.name}: {force_n} N is outside 0 to {self._scale.max_n:g} N")
@@ -244,11 +244,11 @@ class Cia402Actuator:
             await pace.next()
 
     async def retract(self) -> None:
-        """See ForceActuator. Overtakes what waits."""
+        """See ForceActuator. Overtakes waiting requests."""
         await self._axis.reach(self._lift)
 
     async def make_safe(self) -> None:
-        """See Device. Retracts, and reads back that it is so; what a lost connection left behind is reset."""
+        """See Device. Retract and confirm it; reset the faults that a lost connection left."""
 
         async def calm(link: CanopenConnection) -> None:
             await self._lift(link)
@@ -257,7 +257,7 @@ class Cia402Actuator:
         await self._axis.reach(calm)
 
     async def _land(self, link: CanopenConnection, force_n: float, unless: Unless) -> None:
-        """Press lightly until it has landed. The drive is enabled with no torque: it does not jump."""
+        """Press lightly until contact. The drive is enabled with zero torque, so that it does not jump."""
         deadline = time.monotonic() + self._times.landing_s
         if await self._axis.state(link) is not DriveState402.ENABLED:
             await link.write(protocol.TARGET_TORQUE, 0, unless=unless)
@@ -275,7 +275,7 @@ class Cia402Actuator:
             await asyncio.sleep(POLL_S)
 
     async def _lift(self, link: CanopenConnection) -> None:
-        """Force off, then up; the current goes off once the tool is there, and at once where a spring lifts it."""
+        """Force off, then lift; switch the current off once the tool is up, or at once if a spring lifts it."""
         self._axis.take_over()
         deadline = time.monotonic() + self._times.lifted_s
         self._setpoint_n = 0.0
@@ -284,14 +284,14 @@ class Cia402Actuator:
             if self._scale.lift != "spring" and await self._axis.state(link, urgent=True) is DriveState402.ENABLED:
                 await self._pull(link, deadline)
         except DeviceRefused as refused:
-            log.warning("%s; the current goes off, and the tool is lifted without it", refused)
+            log.warning("%s. The current is switched off; the axis lifts the tool without it.", refused)
         await link.write(protocol.CONTROL_WORD, protocol.DISABLE_VOLTAGE, urgent=True)
         while not (reading := await self._read(link, cared=True)).retracted:
             self._require_time(reading, deadline)
             await asyncio.sleep(POLL_S)
 
     async def _pull(self, link: CanopenConnection, deadline: float) -> None:
-        """Lift by the motor, too, until the tool is up or the drive gives up."""
+        """Lift with the motor until the tool is up or the drive fails."""
         if self._scale.lift == "torque":
             await link.write(protocol.TARGET_TORQUE, self._scale.lifting_torque, urgent=True)
         else:
@@ -308,25 +308,23 @@ class Cia402Actuator:
         deadline = time.monotonic() + MODE_S
         while (mode := await link.read(protocol.MODE_NOW, urgent=True)) != protocol.POSITION_MODE:
             if time.monotonic() > deadline:
-                raise DeviceRefused(
-                    f"{self._axis.name}: is in mode {mode} still, {MODE_S:g} s after it was to position"
-                )
+                raise DeviceRefused(f"{self._axis.name}: is in mode {mode} {MODE_S:g} s after the command to position")
             await asyncio.sleep(POLL_S)
         await link.write(protocol.CONTROL_WORD, protocol.MOVE_NOW, urgent=True)
 
     async def _require_pressing(self, link: CanopenConnection) -> None:
         if (mode := await link.read(protocol.MODE_NOW)) != protocol.TORQUE_MODE:
-            raise DeviceRefused(f"{self._axis.name}: is being lifted (mode {mode}): it can press once it is up")
+            raise DeviceRefused(f"{self._axis.name}: is lifting (mode {mode}). It can press once the tool is up.")
 
     def _require_time(self, reading: Cia402ActuatorReading, deadline: float) -> None:
         if time.monotonic() > deadline:
             raise DeviceFault(
-                f"{self._axis.name}: {reading.position_mm:.2f} mm out, {self._times.lifted_s:g} s after it was to "
-                f"retract ({reading.detail or reading.state.value})"
+                f"{self._axis.name}: {reading.position_mm:.2f} mm out, {self._times.lifted_s:g} s after the "
+                f"retract command ({reading.detail or reading.state.value})"
             )
 
     async def _read(self, link: CanopenConnection, *, cared: bool = False) -> Cia402ActuatorReading:
-        """``cared``: somebody watches the force, which the drive is told."""
+        """Read the drive; ``cared``: send our heartbeat, because a caller monitors the force."""
         state = await self._axis.state(link)
         if cared:
             link.beat()

@@ -1,4 +1,4 @@
-"""Drives off the shelf on CANopen: the device types ``cia402_spindle`` and ``cia402_actuator``."""
+"""CiA 402 drives on CANopen: the device types ``cia402_spindle`` and ``cia402_actuator``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from polishd.drivers.transport.address import SlcanAddress, can_address
 SIMULATED_EDS = Path(__file__).with_name("simulated_drive.eds")
 """EDS file of the simulated drive (polishd/sim_backends/cia402)."""
 SIMULATED_SPINDLE: Mapping[str, Any] = {"node": 5, "rpm_per_unit": 0.1}
-"""Keys of ``[spindle]`` that the simulated drive needs, besides its type, its address and its EDS file."""
+"""Keys of ``[spindle]`` for the simulated drive, besides type, address and EDS file."""
 
 _ACTUATOR, _SPINDLE = ActuatorTimes(), SpindleTimes()
 
@@ -45,20 +45,20 @@ Scale = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class DriveOptions(ConfigSection):
-    """Keys that both kinds of drive have besides ``type``."""
+    """Common keys of both kinds of drive besides ``type``."""
 
     address: str
     """``slcan:PATH?bitrate=500000`` or ``socketcand://host:port/channel``."""
     eds: str
-    """The drive's EDS file, from its maker; relative to the config file's folder."""
+    """EDS file of the drive, from its manufacturer; relative to the config file's folder."""
     node: Node
     """CANopen node number of the drive. [1]"""
     controller_node: Node | None = None
-    """Node number of our own heartbeat, no other's on the bus; None: `node` + 64, or - 64 above 63. [1]"""
+    """Node number of polishd's heartbeat, unique on the bus; None: `node` + 64, or - 64 above 63. [1]"""
 
     @property
     def controller(self) -> int:
-        """Whose heartbeat the drive is to listen for."""
+        """Node number of the heartbeat that the drive monitors."""
         if self.controller_node is not None:
             return self.controller_node
         return self.node + 64 if self.node < 64 else max(self.node - 64, 1)
@@ -68,21 +68,21 @@ class Cia402SpindleOptions(DriveOptions):
     """Keys of ``[spindle]`` with ``type = "cia402_spindle"``."""
 
     rpm_per_unit: Scale = 1.0
-    """What 606Ch and 60FFh count in, as the drive is parametrised; negative: it turns the other way round. [rpm]"""
+    """Unit of 606Ch and 60FFh, as the drive is configured; negative: reversed direction. [rpm]"""
     max_rpm: Positive = 3000.0
-    """Fastest that it may turn; the drive's own 6080h counts too, where it has one."""
+    """Speed limit; the drive's 6080h also applies if it has one."""
     acceleration_rpm_s: Positive = 1000.0
-    """Ramp up: 6083h. [rpm/s]"""
+    """Acceleration ramp: 6083h. [rpm/s]"""
     deceleration_rpm_s: Positive = 1000.0
-    """Ramp to a lower speed: 6084h. [rpm/s]"""
+    """Deceleration ramp: 6084h. [rpm/s]"""
     quick_stop_rpm_s: Positive = 3000.0
-    """Ramp of a stop, also of that by itself: 6085h. [rpm/s]"""
+    """Ramp of a stop, also of the watchdog's: 6085h. [rpm/s]"""
     silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = _SPINDLE.silence_s
-    """No answer, or no heartbeat, for so long: the link is lost. The drive's heartbeat comes every 0.1 s."""
+    """Longest time without an answer or a heartbeat; then the link is lost. The drive sends a heartbeat every 0.1 s."""
     watchdog_s: Annotated[float, Field(ge=0.3, le=60.0)] = _SPINDLE.watchdog_s
-    """It hears no heartbeat of ours for so long (1016h): it stops by itself."""
+    """The drive's watchdog (1016h): after this time without polishd's heartbeat it stops."""
     spin_s: Annotated[float, Field(gt=0.0, le=120.0)] = _SPINDLE.spin_s
-    """Longest from standstill to any speed, or back."""
+    """Longest time from standstill to any speed, or back."""
 
 
 class Cia402ActuatorOptions(DriveOptions):
@@ -91,70 +91,70 @@ class Cia402ActuatorOptions(DriveOptions):
     n_per_permille: Scale
     """Force of 1 permille of rated torque (6071h, 6077h); negative: a positive torque lifts. [N]"""
     mm_per_increment: Scale
-    """Of 6064h; negative: it counts down while the tool goes out. [mm]"""
+    """Unit of 6064h; negative: it counts down while the tool moves outward. [mm]"""
     rest_increments: int = 0
     """6064h with the tool up. [1]"""
     rest_mm: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """So near to that the tool counts as up."""
+    """Distance from there within which the tool is up."""
     balance_n: Annotated[float, Field(ge=0.0, le=1000.0)]
-    """What lifts the tool without current, spring or counterweight: the motor presses so much more."""
+    """Lifting force of the spring or counterweight without current; the motor adds it to the pressing force."""
     max_n: Annotated[float, Field(gt=0.0, le=1000.0)] = 50.0
-    """More is refused."""
+    """Force limit; a larger force is refused."""
     landing_n: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
-    """It lands with that at most."""
+    """Largest force of landing."""
     slope_n_s: Positive = 500.0
-    """How fast the force changes: 6087h. [N/s]"""
+    """Slope of the force: 6087h. [N/s]"""
     travel_mm_s: Positive = 1.0
-    """Going out slower than that, the tool is on the part; faster, in the air. Below the speed of landing."""
+    """A tool that moves outward slower is on the part; faster, in the air. Below the landing speed."""
     max_speed: Annotated[int, Field(gt=0)] | None = None
-    """6080h, in the drive's own unit: no faster does it land. None: left as the drive has it. [1]"""
+    """6080h, the speed limit of landing, in the drive's unit. None: unchanged. [1]"""
     lift: Literal["spring", "torque", "position"] = "spring"
-    """How it is lifted: by what lifts it without current; that and `lift_n`; or in profile position, at `lift_mm_s`."""
+    """Lifting: by the spring or counterweight; by that and `lift_n`; or in profile position mode at `lift_mm_s`."""
     lift_n: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
-    """What the motor adds, with `torque`."""
+    """Lifting force of the motor, with `torque`."""
     lift_mm_s: Positive = 10.0
-    """With `position`: 6081h."""
+    """Lifting speed, with `position`: 6081h."""
     silence_s: Annotated[float, Field(ge=0.3, le=5.0)] = 0.5
-    """No answer, or no heartbeat, for so long: spindle off, and the robot takes the tool away."""
+    """Longest time without an answer or a heartbeat; then the spindle stops and the robot lifts the tool."""
     watchdog_s: Annotated[float, Field(ge=0.2, le=5.0)] = _ACTUATOR.watchdog_s
-    """It hears no heartbeat of ours for so long (1016h): current off, and the tool is lifted without it."""
+    """The drive's watchdog (1016h): after this time without polishd's heartbeat its current is off, the tool lifts."""
     landing_s: Seconds = _ACTUATOR.landing_s
-    """No contact after so long is a fault."""
+    """Longest time of landing; no contact by then is a fault."""
     release_s: Seconds = _ACTUATOR.release_s
-    """Longest from the order to force off."""
+    """Longest time from the command to force off."""
     retract_s: Seconds = _ACTUATOR.retract_s
-    """Longest from force off until it tells that the tool is up. Motion goes on until then."""
+    """Longest time from force off until the actuator reports that the tool is up. Motion goes on until then."""
     stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] = _ACTUATOR.stroke_mm
-    """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+    """Distance that the tool can follow the part: a robot that lifts the tool goes that far, and a margin."""
     unpowered: Unpowered = "lifts"
-    """What its tool does without power: what balances it `lifts` it, or it `stays`; one that `presses` is refused."""
+    """Motion of the tool without power: the counterbalance `lifts` it, or it `stays`; one that `presses` is refused."""
 
 
 def _place(options: Cia402SpindleOptions | Cia402ActuatorOptions, context: DeviceContext) -> CanNodeAddress:
     address = can_address(options.address, context.base_dir, "CANopen")
     if isinstance(address, SlcanAddress) and address.bitrate < LEAST_BITRATE:
-        raise ConfigError(f"address {options.address!r}: at least {LEAST_BITRATE} bit/s are needed to ask often enough")
+        raise ConfigError(f"address {options.address!r}: at least {LEAST_BITRATE} bit/s are needed for polling")
     if options.controller == options.node:
-        raise ConfigError(f"controller_node {options.controller} is the drive's own: give our heartbeat another number")
+        raise ConfigError(f"controller_node {options.controller} is the drive's node number. Set another number.")
     return CanNodeAddress(address, options.node, options.controller, options.silence_s, options.watchdog_s)
 
 
 def _of(record: type[T], options: DriveOptions) -> T:
-    """A record of the options that have the names of its fields."""
+    """Build a record from the options with the names of its fields."""
     known = {field.name for field in fields(cast("Any", record))} & set(type(options).model_fields)
     return record(**{name: getattr(options, name) for name in known})
 
 
 def _build_spindle(options: Cia402SpindleOptions, context: DeviceContext) -> Spindle:
     if not options.rpm_per_unit:
-        raise ConfigError("rpm_per_unit is 0: say what the drive's unit of velocity is")
+        raise ConfigError("rpm_per_unit is 0. Set the drive's unit of velocity.")
     dictionary = read_dictionary(context.base_dir / options.eds, options.node)
     return Cia402Spindle(_place(options, context), dictionary, _of(SpindleScale, options), _of(SpindleTimes, options))
 
 
 def _build_actuator(options: Cia402ActuatorOptions, context: DeviceContext) -> ForceActuator:
     if not (options.n_per_permille and options.mm_per_increment):
-        raise ConfigError("n_per_permille or mm_per_increment is 0: say what the drive counts in")
+        raise ConfigError("n_per_permille or mm_per_increment is 0. Set the drive's units.")
     dictionary = read_dictionary(context.base_dir / options.eds, options.node)
     place, scale = _place(options, context), _of(ActuatorScale, options)
     return Cia402Actuator(place, dictionary, scale, _of(ActuatorTimes, options))

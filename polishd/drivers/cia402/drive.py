@@ -1,4 +1,4 @@
-"""What every drive of CiA 402 has, whatever it moves: its settings, its power, its faults, and the way back to it."""
+"""Common base of CiA 402 drives: settings, power stage, faults, and reconnecting."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.drivers.transport.background import Background, Ready, RequestQueue
 from polishd.drivers.transport.can_bus import CanBus, CanFrame, NodesHeard, open_bus
 
-# One connection to a drive: its objects are read and written one at a time, its heartbeat is timed, ours is sent.
+# Connection to a drive: one object request at a time; monitors its heartbeat and sends ours.
 
 OPEN_S = 1.0
 BOOT_S = 3.0
 BEAT_S = 0.1
-"""Period of both heartbeats, as long as the drive has no power."""
+"""Period of both heartbeats while the power stage is off."""
 
 
 def free() -> None:
-    """A write that nothing forbids."""
+    """Allow the write: the default of ``unless``."""
 
 
 class CanopenConnection(Background):
-    """From opening the bus to its end; never opened again.
+    """Connection from opening the bus to its end; never reopened.
 
-    Answers bear the object's address, and a drive answers in order: the first request of a link is one that no other
-    repeats, so that answers to an earlier link's requests are over when it is answered. A request that is not
-    answered in time is the link's end: its answer could come later, and be taken for another's.
+    Answers contain the object's address, and a drive answers in order. The first request of a link is unique: its
+    answer shows that no answers to an earlier link's requests follow. A request without an answer in time ends the
+    link, because a late answer could be taken for another's.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class CanopenConnection(Background):
         dictionary: Dictionary,
         silence_s: float,
     ) -> None:
-        """``silence_s`` without an answer, or without a heartbeat once these are asked for, is the link's end."""
+        """``silence_s`` without an answer, or without a heartbeat once they are monitored, ends the link."""
         super().__init__(f"{address} node {node}")
         self._address, self._node, self._controller = address, node, controller
         self._dictionary = dictionary
@@ -71,16 +71,16 @@ class CanopenConnection(Background):
         self._timed = False
         self._booted = self._restarted = self._answered = False
         self.silent_idly = False
-        """The bus or we were away while the motor had no power: that has harmed nobody."""
+        """The bus or our heartbeat was lost while the motor had no power: this is harmless."""
         self.emergency: EmergencyMessage | None = None
-        """What the drive last told of, until somebody has seen that it is over."""
-        self.told = False
-        """Settings have been written: a drive that starts anew has lost them, and the link ends."""
+        """Last fault that the drive reported, until a read shows that it is cleared."""
+        self.is_configured = False
+        """Settings have been written: a drive that restarts has lost them, and the link ends."""
         self.driving = False
-        """The motor has power, for all that is known: our heartbeats go out by ``beat`` only."""
+        """The motor may have power: our heartbeats are sent by ``beat`` only."""
 
     async def open(self) -> None:
-        """Open the bus and see that a drive of CiA 402 answers. Changes nothing in it but that it is operational."""
+        """Open the bus and check that a CiA 402 drive answers. Only sets the drive operational."""
         self._bus = await open_bus(self._address, self._node)
         try:
             await self.start(self._run, OPEN_S)
@@ -88,27 +88,27 @@ class CanopenConnection(Background):
             self._send(protocol.start_node(self._node))
             kind = await self.read(protocol.DEVICE_TYPE)
             if kind & 0xFFFF != protocol.PROFILE_402:
-                raise DeviceRefused(f"{self.name}: is of CiA profile {kind & 0xFFFF}, no drive (402)")
+                raise DeviceRefused(f"{self.name}: has CiA profile {kind & 0xFFFF}; a drive has 402")
         except BaseException:
             await self.close()
             raise
 
     async def time_heartbeats(self) -> None:
-        """From now on the drive's heartbeats are waited for."""
+        """Monitor the drive's heartbeats from now on."""
         self._beat_at, self._timed = None, True
         if not await self.until(lambda: self._beat_at is not None, self._silence_s):
             raise LinkError(f"{self.name}: no heartbeat within {self._silence_s:g} s")
 
     async def reset_communication(self) -> None:
-        """Let the drive boot as a node: it has forgotten its heartbeats then, but not what it moves."""
-        self.told = self._timed = self._booted = False
+        """Reset the drive's communication: it forgets its heartbeats, but keeps its motion state."""
+        self.is_configured = self._timed = self._booted = False
         self._send(protocol.reset_communication(self._node))
         if not await self.until(lambda: self._booted, BOOT_S):
             raise LinkError(f"{self.name}: no boot message within {BOOT_S:g} s")
         self._send(protocol.start_node(self._node))
 
     async def close(self) -> None:
-        """Leave the bus; idempotent."""
+        """Close the bus; idempotent."""
         await self._queue.stop()
         await self.stop()
         bus, self._bus = self._bus, None
@@ -116,12 +116,12 @@ class CanopenConnection(Background):
             await bus.close()
 
     def beat(self) -> None:
-        """Tell the drive that somebody cares."""
+        """Send our heartbeat."""
         self.check()
         self._send(protocol.heartbeat(self._controller))
 
     async def read(self, address: Address, *, urgent: bool = False) -> int:
-        """The value of an object. ProtocolError where the drive has no such value."""
+        """Read an object. ProtocolError if the drive has no such value."""
         answer = await self._queue.ask(lambda: self._exchange(Request(address)), urgent=urgent)
         if isinstance(answer, SdoValue):
             return self._dictionary.decode(address, answer.data, sized=answer.sized)
@@ -130,7 +130,7 @@ class CanopenConnection(Background):
     async def write(
         self, address: Address, value: int, *, urgent: bool = False, unless: Callable[[], None] = free
     ) -> None:
-        """Write an object, once; ``unless`` may raise right before. DeviceRefused where the drive refuses."""
+        """Write an object once; ``unless`` may raise right before. DeviceRefused if the drive refuses."""
         request = Request(address, self._dictionary.encode(address, value))
 
         async def work() -> SdoAnswer:
@@ -175,14 +175,14 @@ class CanopenConnection(Background):
             group.create_task(self._beat_idly())
 
     async def _watch(self) -> None:
-        """LinkError when an answer stayed out, and when the drive falls silent or starts anew."""
+        """Raise LinkError if an answer is missing, and if the drive falls silent or restarts."""
         while True:
             either: set[asyncio.Future[Any]] = {self.news(), self._broken}
             await asyncio.wait(either, timeout=BEAT_S, return_when=asyncio.FIRST_COMPLETED)
             if self._broken.done():
                 raise LinkError(self._broken.result())
             if self._restarted:
-                raise LinkError(f"{self.name}: the drive was started anew: it has forgotten what it was told")
+                raise LinkError(f"{self.name}: the drive has restarted and lost its settings")
             silent_s = time.monotonic() - (self._beat_at or time.monotonic())
             if self._timed and silent_s > self._silence_s:
                 raise LinkError(f"{self.name}: no heartbeat for {self._silence_s:g} s")
@@ -197,8 +197,8 @@ class CanopenConnection(Background):
         if self._bus is not None:
             self._bus.send(frame)
 
-    def _told(self, emergency: EmergencyMessage) -> None:
-        """Keep what is worst. That it is over (00xx) is looked at where it matters, not believed."""
+    def _on_emergency(self, emergency: EmergencyMessage) -> None:
+        """Keep the worst fault. An end of fault (00xx) is not trusted but read from the drive if it matters."""
         if emergency.of_connection and not self.driving:
             self.silent_idly = True
         elif emergency.code >> 8 and (self.emergency is None or self.emergency.of_connection):
@@ -209,10 +209,10 @@ class CanopenConnection(Background):
         message = protocol.decode(self._node, frame)
         if isinstance(message, NodeHeartbeat):
             self._booted = self._booted or message.state is NodeState.BOOT
-            self._restarted = self._restarted or (self.told and message.state is NodeState.BOOT)
+            self._restarted = self._restarted or (self.is_configured and message.state is NodeState.BOOT)
             self._beat_at = time.monotonic()
         elif isinstance(message, EmergencyMessage):
-            self._told(message)
+            self._on_emergency(message)
         elif message is not None and self._asked is not None:
             request, answer = self._asked
             if not request.answered_by(message) or answer.done():
@@ -227,7 +227,7 @@ class CanopenConnection(Background):
 POLL_S = 0.02
 RESET_S = 0.5
 GENERIC = 0x1000
-"""Error code of a fault that the drive has no code for."""
+"""Error code of a fault without a code of the drive."""
 
 _IDENTITY = (protocol.VENDOR, protocol.PRODUCT, protocol.REVISION, protocol.SERIAL)
 _READ = (protocol.VENDOR, protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUS_WORD)
@@ -238,18 +238,18 @@ Unless = Callable[[], None]
 
 @dataclass(frozen=True, slots=True)
 class CanNodeAddress:
-    """Where the drive is, and who we are."""
+    """Bus and node number of the drive, and our node number."""
 
     bus: SlcanAddress | SocketcandAddress
     node: int
     controller: int
-    """Node number of our own heartbeat; every driver on a bus has its own."""
+    """Node number of our heartbeat, unique for each driver on a bus."""
     silence_s: float
     watchdog_s: float
 
 
 class Cia402Drive:
-    """A drive. A lost link stays lost until ``open``; only ``reach`` connects by itself."""
+    """A CiA 402 drive. A lost link stays lost until ``open``; only ``reach`` reconnects."""
 
     def __init__(
         self,
@@ -262,10 +262,10 @@ class Cia402Drive:
         read: tuple[Address, ...],
         write: tuple[Address, ...],
     ) -> None:
-        """``settings`` are written at ``open`` where they differ; ``read`` and ``write`` is what else is used.
+        """``open`` writes those ``settings`` that differ; ``read`` and ``write`` are the other objects that are used.
 
-        ConfigError where the EDS file does not have all of it. ``on_silence`` is what the drive does when it does not
-        hear us: a value of 6007h.
+        ConfigError if the EDS file lacks one of them. ``on_silence`` is the drive's reaction to a lost heartbeat: a
+        value of 6007h.
         """
         watch = place.controller << 16 | round(1000 * place.watchdog_s)
         self._settings = {
@@ -283,20 +283,20 @@ class Cia402Drive:
         self._orders = 0
         self._link: CanopenConnection | None = None
         self._opening = asyncio.Lock()
-        """A serial adapter is open once only."""
+        """A serial adapter can be opened only once."""
 
     @property
     def link(self) -> CanopenConnection:
-        """The open one; LinkError where there is none."""
+        """The open connection; LinkError if there is none."""
         if self._link is None:
             raise LinkError(f"{self.name}: is not open")
         self._link.check()
         return self._link
 
     async def open(self, look: Callable[[CanopenConnection], Awaitable[None]]) -> None:
-        """Connect; see that it is the drive of the EDS file; write and read back what it has to do in our absence.
+        """Connect; check that it is the drive of the EDS file; write the reaction to a lost heartbeat and read it back.
 
-        ``look`` is what else is to be read, and may refuse it.
+        ``look`` makes further checks and may refuse the drive.
         """
         async with self._opening:
             await self.close()
@@ -319,28 +319,28 @@ class Cia402Drive:
             await link.close()
 
     async def identify(self) -> DeviceIdentity:
-        """Vendor, product, serial number and revision are numbers of CiA 301; 0 where the drive has none."""
+        """Vendor, product, serial number and revision are CiA 301 numbers; 0 if the drive has none."""
         link = self.link
         known = [address in self.dictionary and await link.read(address) for address in _IDENTITY]
         vendor, product, revision, serial = map(int, known)
         return DeviceIdentity(f"0x{vendor:08x}", f"0x{product:08x}", str(serial), f"0x{revision:08x}")
 
     def take_over(self) -> Unless:
-        """A new order: what an earlier one would still write is refused from now on.
+        """Begin a new command: later writes of an earlier one are refused.
 
-        What is returned raises DeviceRefused once there is a newer one.
+        The returned function raises DeviceRefused once there is a newer command.
         """
         self._orders += 1
         order = self._orders
 
         def overtaken() -> None:
             if self._orders != order:
-                raise DeviceRefused(f"{self.name}: was commanded otherwise on the way")
+                raise DeviceRefused(f"{self.name}: was replaced by a newer command")
 
         return overtaken
 
     async def reach(self, act: Callable[[CanopenConnection], Awaitable[None]]) -> None:
-        """Do that on the open link; where there is none, or it is lost over it, on another one for this once."""
+        """Run ``act`` on the open link; if there is none, or it is lost meanwhile, once on a temporary link."""
         if self._link is not None and self._link.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await act(self._link)
@@ -355,33 +355,33 @@ class Cia402Drive:
                 await link.close()
 
     async def state(self, link: CanopenConnection, *, urgent: bool = False) -> DriveState402:
-        """Of the power stage, by the drive's own word."""
+        """Read the state of the power stage."""
         state = protocol.state_of(await link.read(protocol.STATUS_WORD, urgent=urgent))
         link.driving = state.drives
         return state
 
     async def fault(self, link: CanopenConnection, state: DriveState402) -> EmergencyMessage | None:
-        """What is wrong with it; None: nothing."""
+        """Return the drive's fault, or None."""
         if state.failed and (link.emergency is None or link.emergency.of_connection):
-            told = protocol.ERROR_CODE in self.dictionary and await link.read(protocol.ERROR_CODE)
-            return EmergencyMessage(told or GENERIC, 0)
+            code = protocol.ERROR_CODE in self.dictionary and await link.read(protocol.ERROR_CODE)
+            return EmergencyMessage(code or GENERIC, 0)
         return link.emergency
 
     async def require_sound(self, link: CanopenConnection, what: str) -> DriveState402:
-        """The state; DeviceFault where something is wrong."""
+        """Return the state; DeviceFault if the drive has a fault."""
         state = await self.state(link)
         if (fault := await self.fault(link, state)) is not None:
             raise DeviceFault(f"{self.name}: {what}: {describe(fault)}")
         return state
 
     async def wake(self, link: CanopenConnection) -> None:
-        """Before it is switched on: end what silence has left behind while it had no power."""
+        """Before power-up: reset what a lost heartbeat left while the drive had no power."""
         if link.silent_idly:
             link.silent_idly = False
             await self.reset(link)
 
     async def power_up(self, link: CanopenConnection, mode: int, unless: Unless, within_s: float) -> None:
-        """To operation enabled, in that mode; its target is set before. Nothing where it is enabled already."""
+        """Switch to operation enabled in that mode, after its target is set. No effect on an enabled drive."""
         deadline = time.monotonic() + within_s
         state = await self.require_sound(link, "cannot be switched on")
         if state is DriveState402.ENABLED:
@@ -398,26 +398,26 @@ class Cia402Drive:
                 await asyncio.sleep(POLL_S)
 
     async def reset(self, link: CanopenConnection) -> None:
-        """End what a lost connection has left behind, and only that: other faults are a person's business."""
+        """Reset the faults of a lost connection only: the operator resets other faults."""
         state = await self.state(link)
         fault = await self.fault(link, state)
         if fault is None or not fault.of_connection:
             return
         if state is DriveState402.FAULT and not await self._reset_fault(link):
-            await link.reset_communication()  # as some drives ask for, once they have missed a heartbeat
+            await link.reset_communication()  # some drives require this after a missed heartbeat
             await self._tell(link)
             await self._reset_fault(link)
         if not (await self.state(link)).failed and await self._clears(link, protocol.ERROR_REGISTER, 0xFF):
             link.emergency = None
 
     async def _reset_fault(self, link: CanopenConnection) -> bool:
-        """Whether it has left the fault over it."""
+        """Reset the fault; return whether the drive has left it."""
         await link.write(protocol.CONTROL_WORD, protocol.DISABLE_VOLTAGE)
         await link.write(protocol.CONTROL_WORD, protocol.FAULT_RESET)
         return await self._clears(link, protocol.STATUS_WORD, protocol.FAULT_BIT)
 
     async def _clears(self, link: CanopenConnection, address: Address, bits: int) -> bool:
-        """Whether these bits of an object are gone in a while."""
+        """Wait until these bits of an object are cleared; return whether they are."""
         deadline = time.monotonic() + RESET_S
         while await link.read(address) & bits:
             if time.monotonic() > deadline:
@@ -426,8 +426,8 @@ class Cia402Drive:
         return True
 
     async def _tell(self, link: CanopenConnection) -> None:
-        """What it has to do in our absence, and how it is to ramp."""
-        link.told = True
+        """Write the reaction to a lost heartbeat, and the ramps."""
+        link.is_configured = True
         for address, value in self._settings.items():
             await self._settle(link, address, value)
         await link.time_heartbeats()
@@ -440,7 +440,7 @@ class Cia402Drive:
         for address, what in ((protocol.VENDOR, "vendor"), (protocol.PRODUCT, "product")):
             wanted = self.dictionary[address].default if address in self.dictionary else None
             if wanted and (found := await link.read(address)) != wanted:
-                raise DeviceRefused(f"{self.name}: is {what} {found:#010x}, its EDS file is of {wanted:#010x}")
+                raise DeviceRefused(f"{self.name}: has {what} {found:#010x}, its EDS file has {wanted:#010x}")
         if protocol.SUPPORTED_MODES in self.dictionary:
             supported = await link.read(protocol.SUPPORTED_MODES)
             for mode in self._modes:
@@ -457,5 +457,5 @@ class Cia402Drive:
 
 
 def describe(fault: EmergencyMessage) -> str:
-    """Code and text."""
+    """Return code and text of a fault."""
     return f"{emergency_text(fault.code)} ({fault.code:04X}h)"

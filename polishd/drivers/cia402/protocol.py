@@ -1,6 +1,6 @@
-"""CANopen frames of one node (CiA 301): what we say and what it says. Sans-IO; frames that are not its own are None.
+"""CANopen frames of one node (CiA 301), sent and received. Sans-IO; frames of other nodes decode to None.
 
-SDO transfers are expedited ones only: no object of a drive that is read or written here has more than four bytes.
+Only expedited SDO transfers: no object that is read or written here has more than four bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _START_NODE, _RESET_COMMUNICATION = 0x01, 0x82
 _UPLOAD, _DOWNLOAD = 0x40, 0x23
 _WRITTEN, _ABORT = 0x60, 0x80
 _EXPEDITED = {0x4F: 1, 0x4B: 2, 0x47: 3, 0x43: 4, 0x42: 4}
-"""Answers to a read: their bytes of data; the last does not say how many of the four count."""
+"""Data bytes of the answers to a read; the last one does not give the number of valid bytes."""
 _SIZELESS = 0x42
 _COMMUNICATION = 0x81
 """First byte of an error code."""
@@ -37,7 +37,7 @@ _EMERGENCY = struct.Struct("<HB5x")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Of an object in a node's dictionary."""
+    """Address of an object in a node's dictionary."""
 
     index: int
     sub: int = 0
@@ -47,7 +47,7 @@ class Address:
 
 
 class NodeState(IntEnum):
-    """What a heartbeat says; BOOT comes once after power-up or reset."""
+    """State in a heartbeat; BOOT is sent once after power-up or reset."""
 
     BOOT = 0x00
     STOPPED = 0x04
@@ -57,27 +57,27 @@ class NodeState(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class NodeHeartbeat:
-    """A sign of life."""
+    """Heartbeat of a node."""
 
     state: NodeState
 
 
 @dataclass(frozen=True, slots=True)
 class EmergencyMessage:
-    """The node tells of an error; ``code`` 0x00xx: of its end."""
+    """Error of the node; ``code`` 0x00xx: the end of the error."""
 
     code: int
     register: int
 
     @property
     def of_connection(self) -> bool:
-        """It tells of the bus or of the controller's silence: over, once both are heard again."""
+        """Whether the error is a bus error or a lost heartbeat: it ends when both return."""
         return self.code >> 8 == _COMMUNICATION
 
 
 @dataclass(frozen=True, slots=True)
 class SdoValue:
-    """A value; ``sized`` where the node says that all of it counts."""
+    """Value of an object; ``sized``: the node gives its size."""
 
     address: Address
     data: bytes
@@ -86,14 +86,14 @@ class SdoValue:
 
 @dataclass(frozen=True, slots=True)
 class SdoWritten:
-    """A value was taken."""
+    """Confirmation of a write."""
 
     address: Address
 
 
 @dataclass(frozen=True, slots=True)
 class SdoAborted:
-    """A transfer was refused."""
+    """Refusal of a transfer."""
 
     address: Address
     code: int
@@ -105,40 +105,40 @@ Message = NodeHeartbeat | EmergencyMessage | SdoAnswer
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Read an object, or with ``data`` (1 to 4 bytes) write it."""
+    """Request to read an object, or with ``data`` (1 to 4 bytes) to write it."""
 
     address: Address
     data: bytes | None = None
 
     def frame(self, node: int) -> CanFrame:
-        """As it goes out."""
+        """Return the CAN frame of the request."""
         specifier = _UPLOAD if self.data is None else _DOWNLOAD | (4 - len(self.data)) << 2
         payload = _SDO.pack(specifier, self.address.index, self.address.sub, (self.data or b"").ljust(4, b"\0"))
         return CanFrame(SDO_REQUEST + node, payload)
 
     def answered_by(self, answer: SdoAnswer) -> bool:
-        """Whether it can be the answer to this: about the same object, and of the kind that was asked for."""
+        """Whether this can be the answer: the same object and the requested kind."""
         wanted = SdoValue if self.data is None else SdoWritten
         return answer.address == self.address and isinstance(answer, wanted | SdoAborted)
 
 
 def start_node(node: int) -> CanFrame:
-    """Network management: be operational. Nobody answers that."""
+    """Return the network management frame to become operational. It has no answer."""
     return CanFrame(NMT, bytes([_START_NODE, node]))
 
 
 def reset_communication(node: int) -> CanFrame:
-    """Network management: forget what 1000h to 1FFFh were told, and boot. Power stays as it is."""
+    """Return the frame to reset 1000h to 1FFFh and boot. The power stage keeps its state."""
     return CanFrame(NMT, bytes([_RESET_COMMUNICATION, node]))
 
 
 def heartbeat(controller: int) -> CanFrame:
-    """Our own sign of life, that the drive listens for."""
+    """Return our heartbeat frame, which the drive monitors."""
     return CanFrame(HEARTBEAT + controller, bytes([NodeState.OPERATIONAL]))
 
 
 def decode(node: int, frame: CanFrame) -> Message | None:
-    """What that node said; None for other nodes, and for data that CANopen does not have."""
+    """Decode a frame of that node; None for other nodes and for invalid data."""
     identifier, data = frame
     if identifier == SDO_ANSWER + node and len(data) == _SDO.size:
         return _sdo(data)
@@ -161,18 +161,18 @@ def _sdo(data: bytes) -> SdoAnswer | None:
     return None
 
 
-# The objects of a drive that are used here, as CiA 301 and CiA 402 number them.
+# Objects of a drive that are used here, with their addresses in CiA 301 and CiA 402.
 
 DEVICE_TYPE = Address(0x1000)
 ERROR_REGISTER = Address(0x1001)
 CONSUMER_HEARTBEAT = Address(0x1016, 1)
-"""Whose heartbeat the drive listens for (bits 16 to 22), and how long it bears its absence, ms."""
+"""Node of the monitored heartbeat (bits 16 to 22), and its timeout, ms."""
 PRODUCER_HEARTBEAT = Address(0x1017)
-"""Period of the drive's own heartbeat, ms."""
+"""Period of the drive's heartbeat, ms."""
 VENDOR, PRODUCT, REVISION, SERIAL = (Address(0x1018, sub) for sub in (1, 2, 3, 4))
 
 ABORT_CONNECTION = Address(0x6007)
-"""What the drive does when it hears nothing more."""
+"""Reaction of the drive to a lost heartbeat."""
 ERROR_CODE = Address(0x603F)
 CONTROL_WORD = Address(0x6040)
 STATUS_WORD = Address(0x6041)
@@ -206,15 +206,15 @@ STOP_AND_DISABLE = 2
 
 DISABLE_VOLTAGE, QUICK_STOP, SHUT_DOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
 FAULT_RESET = 0x80
-"""Taken where bit 7 rises: DISABLE_VOLTAGE goes before it."""
+"""Takes effect on a rising bit 7: send DISABLE_VOLTAGE first."""
 FAULT_BIT = 0x08
-"""Of the status word."""
+"""Bit of the status word."""
 MOVE_NOW = 0x3F
 """Profile position: operation enabled, a new set point, at once."""
 
 
 class DriveState402(Enum):
-    """Of the power stage; named as in CiA 402."""
+    """State of the power stage, named as in CiA 402."""
 
     NOT_READY = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
@@ -227,12 +227,12 @@ class DriveState402(Enum):
 
     @property
     def drives(self) -> bool:
-        """The motor has current, and may move."""
+        """Whether the motor has current and may move."""
         return self in {DriveState402.ENABLED, DriveState402.QUICK_STOP, DriveState402.FAULT_REACTION}
 
     @property
     def failed(self) -> bool:
-        """Only a fault reset leads on."""
+        """Whether only a fault reset leaves the state."""
         return self in {DriveState402.FAULT_REACTION, DriveState402.FAULT}
 
 
@@ -246,13 +246,13 @@ _BITS = (
     (0x4F, 0x0F, DriveState402.FAULT_REACTION),
     (0x4F, 0x08, DriveState402.FAULT),
 )
-"""(mask, value) of the status word."""
+"""(mask, value) of the status word for each state."""
 
 _STEPS = ((SHUT_DOWN, DriveState402.READY), (SWITCH_ON, DriveState402.SWITCHED_ON), (ENABLE, DriveState402.ENABLED))
 
 
 def state_of(status_word: int) -> DriveState402:
-    """The state that a status word tells of; ProtocolError where it tells of none."""
+    """Return the state of a status word; ProtocolError if it has none."""
     for mask, value, state in _BITS:
         if status_word & mask == value:
             return state
@@ -260,9 +260,9 @@ def state_of(status_word: int) -> DriveState402:
 
 
 def power_up(state: DriveState402) -> tuple[tuple[int, DriveState402], ...]:
-    """Control words that lead from there to operation enabled, each with the state to wait for before the next.
+    """Return the control words to operation enabled, each with the state to wait for before the next.
 
-    A drive that is powered goes all the way: what it is enabled with is set first. None lead out of a fault.
+    Set the target before: the drive becomes enabled. A fault has no such control words.
     """
     if state is DriveState402.QUICK_STOP:
         return (DISABLE_VOLTAGE, DriveState402.SWITCH_ON_DISABLED), *_STEPS
@@ -271,33 +271,33 @@ def power_up(state: DriveState402) -> tuple[tuple[int, DriveState402], ...]:
     return _STEPS
 
 
-# A drive's objects as its EDS file (CiA 306) describes them. The only file that knows ``canopen``.
+# Objects of a drive from its EDS file (CiA 306). The only file that imports ``canopen``.
 
 MOST_BYTES = 4
-"""Of an object that an expedited transfer carries."""
+"""Data type of an object that an expedited transfer can carry."""
 
 
 @dataclass(frozen=True, slots=True)
 class DictionaryEntry:
-    """A number of the drive."""
+    """A numeric object of the drive."""
 
     name: str
     size: int
-    """Bytes."""
+    """Size, bytes."""
     signed: bool
     readable: bool
     writable: bool
     low: int
     high: int
-    """What may be written: by its type, and by the file's limits."""
+    """Range for writing, by type and by the file's limits."""
     default: int | None
 
 
 class Dictionary:
-    """The numbers that a drive has, from its EDS file."""
+    """Numeric objects of a drive, from its EDS file."""
 
     def __init__(self, path: Path, entries: Mapping[Address, DictionaryEntry], lines: Mapping[int, int]) -> None:
-        """``lines``: where in the file each index is."""
+        """``lines``: line of each index in the file."""
         self._path = path
         self._entries = entries
         self._lines = lines
@@ -306,13 +306,13 @@ class Dictionary:
         return address in self._entries
 
     def __getitem__(self, address: Address) -> DictionaryEntry:
-        """ConfigError where the file has no such number."""
+        """ConfigError if the file has no such object."""
         if address not in self._entries:
-            raise ConfigError(f"{self._place(address)}: it has no number {address}, which this drive is worked with")
+            raise ConfigError(f"{self._place(address)}: object {address} is missing; polishd needs it for this drive")
         return self._entries[address]
 
     def require(self, *, read: Iterable[Address], write: Iterable[Address]) -> None:
-        """ConfigError for the first that is missing, or that does not allow it."""
+        """Raise ConfigError for the first object that is missing or does not allow the access."""
         for address in read:
             if not self[address].readable:
                 raise ConfigError(f"{self._place(address)}: {address} ({self[address].name}) cannot be read")
@@ -321,17 +321,17 @@ class Dictionary:
                 raise ConfigError(f"{self._place(address)}: {address} ({self[address].name}) cannot be written")
 
     def encode(self, address: Address, value: int) -> bytes:
-        """The value as it is sent; DeviceRefused where the drive cannot hold it."""
+        """Encode a value; DeviceRefused if it is out of the object's range."""
         entry = self[address]
         if not entry.low <= value <= entry.high:
             raise DeviceRefused(f"{address} ({entry.name}) holds {entry.low} to {entry.high}, not {value}")
         return value.to_bytes(entry.size, "little", signed=entry.signed)
 
     def decode(self, address: Address, data: bytes, *, sized: bool) -> int:
-        """The value of what came; ProtocolError where it has not the object's size."""
+        """Decode received data; ProtocolError if it does not have the object's size."""
         entry = self[address]
         if len(data) != entry.size and (sized or len(data) < entry.size):
-            raise ProtocolError(f"{address} ({entry.name}) came in {len(data)} bytes, its EDS file says {entry.size}")
+            raise ProtocolError(f"{address} ({entry.name}) has {len(data)} bytes, its EDS file says {entry.size}")
         return int.from_bytes(data[: entry.size], "little", signed=entry.signed)
 
     def _place(self, address: Address) -> str:
@@ -340,7 +340,7 @@ class Dictionary:
 
 
 def read_dictionary(path: Path, node: int) -> Dictionary:
-    """Read an EDS file; ConfigError says what is wrong with it, and where as far as that is known."""
+    """Read an EDS file; ConfigError names the fault and, if known, the line."""
     import canopen
     from canopen.objectdictionary import eds
 
@@ -349,36 +349,36 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     if "[DeviceInfo]" not in text:
-        raise ConfigError(f"{path}: is no EDS file of CiA 306: it has no section [DeviceInfo]")
+        raise ConfigError(f"{path}: is not an EDS file of CiA 306: section [DeviceInfo] is missing")
     try:
         found = eds.import_eds(io.StringIO(text), node)  # type: ignore[no-untyped-call]
     except (configparser.Error, canopen.ObjectDictionaryError, ValueError, LookupError) as error:
-        raise ConfigError(f"{path}: is no EDS file of CiA 306: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{path}: is not an EDS file of CiA 306: {' '.join(str(error).split())}") from error
     return Dictionary(path, dict(_numbers(found)), _lines(text))
 
 
 def emergency_text(code: int) -> str:
-    """What an error code of a drive means, as far as CiA 301 says."""
+    """Return the meaning of a drive's error code in CiA 301."""
     from canopen.emcy import EmcyError
 
     known = {
         0x8110: "messages were lost: CAN overrun",
-        0x8120: "the bus is bad: CAN in error passive mode",
-        0x8130: "watchdog ran out: no heartbeat of the controller",
+        0x8120: "bus errors: CAN in error passive mode",
+        0x8130: "watchdog: no heartbeat of the controller",
         0x8140: "recovered from bus-off",
     }
     return known.get(code) or EmcyError(code, 0, b"", 0.0).get_desc().lower() or "unknown error"
 
 
 def abort_text(code: int) -> str:
-    """Why a transfer was refused."""
+    """Return the reason of a refused transfer."""
     from canopen.sdo.exceptions import SdoAbortedError
 
-    return str(SdoAbortedError.CODES.get(code, "no reason that CiA 301 knows")).lower()
+    return str(SdoAbortedError.CODES.get(code, "unknown reason")).lower()
 
 
 def _decoded(data: bytes) -> str:
-    """Drives' makers write UTF-8 or, more often, Windows' Latin."""
+    """Decode a text: manufacturers write UTF-8 or, more often, Windows-1252."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -408,7 +408,7 @@ def _entry(variable: ODVariable) -> DictionaryEntry:
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     least = low if variable.min is None else max(low, variable.min)
     most = high if variable.max is None else min(high, variable.max)
-    if least >= most:  # makers' tools leave both limits at 0 where there are none
+    if least >= most:  # tools of manufacturers write 0 for both limits if there are none
         least, most = low, high
     return DictionaryEntry(
         name=variable.name,

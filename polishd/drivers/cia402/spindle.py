@@ -1,4 +1,4 @@
-"""A spindle behind a drive of CiA 402, in profile velocity mode."""
+"""Spindle on a CiA 402 drive, in profile velocity mode."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from polishd.drivers.transport.background import PeriodicTimer
 
 TOLERANCE = 0.02
 ARRIVED = 0.015
-"""At which a speed counts as reached: the readings after it scatter, and are to stay within the tolerance."""
+"""Deviation at which a speed counts as reached: later readings scatter and must stay within the tolerance."""
 STILL_RPM = 1.0
 SAMPLE_S = 0.04
 
 
 @dataclass(frozen=True, slots=True)
 class SpindleScale:
-    """What the drive's numbers mean, and how it is to ramp."""
+    """Units of the drive's objects, and its ramps."""
 
     rpm_per_unit: float = 1.0
-    """Of 606Ch and 60FFh; negative: it turns the other way round."""
+    """Unit of 606Ch and 60FFh; negative: reversed direction."""
     max_rpm: float = 3000.0
     acceleration_rpm_s: float = 1000.0
     deceleration_rpm_s: float = 1000.0
     quick_stop_rpm_s: float = 3000.0
 
     def units(self, rpm: float) -> int:
-        """A speed as the drive has it."""
+        """Return a speed in the drive's unit."""
         return round(rpm / self.rpm_per_unit)
 
     def ramp(self, rpm_s: float) -> int:
-        """A ramp as the drive has it."""
+        """Return a ramp in the drive's unit."""
         return max(round(rpm_s / abs(self.rpm_per_unit)), 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Cia402SpindleReading:
-    """What the drive says of itself."""
+    """Reading of the drive."""
 
     state: DriveState402
     rpm: float
@@ -53,22 +53,22 @@ class Cia402SpindleReading:
 
     @property
     def stands(self) -> bool:
-        """No power, and no speed."""
+        """Whether the drive has no power and no speed."""
         return not self.state.drives and abs(self.rpm) < STILL_RPM
 
     @property
     def at_speed(self) -> bool:
-        """Within tolerance."""
+        """Whether the speed is within tolerance."""
         return self._within(TOLERANCE)
 
     @property
     def arrived(self) -> bool:
-        """At speed, and far enough from the tolerance's edge to stay so."""
+        """Whether the speed is reached, with a margin to the tolerance."""
         return self._within(ARRIVED)
 
     @property
     def name(self) -> str:
-        """The state, in a spindle's words."""
+        """State of the spindle."""
         if self.fault:
             return "fault"
         if self.state.drives:
@@ -80,10 +80,10 @@ class Cia402SpindleReading:
 
 
 class Cia402Spindle:
-    """A Spindle. Our heartbeat goes out with what somebody reads; the drive quick-stops by itself when it stays out."""
+    """A Spindle. Reading sends our heartbeat; without it the drive makes a quick stop."""
 
     def __init__(self, place: CanNodeAddress, dictionary: Dictionary, scale: SpindleScale, times: SpindleTimes) -> None:
-        """ConfigError where the drive of the EDS file has no profile velocity mode."""
+        """ConfigError if the EDS file has no profile velocity mode."""
         self._scale = scale
         self._times = times
         self._max_rpm = 0.0
@@ -107,7 +107,7 @@ class Cia402Spindle:
         return self._times
 
     async def open(self) -> None:
-        """See Device. Also writes ramps, heartbeats and what the drive does in our absence."""
+        """See Device. Also writes ramps, heartbeats and the drive's reaction to a lost heartbeat."""
 
         async def look(link: CanopenConnection) -> None:
             self._max_rpm = self._scale.max_rpm
@@ -125,7 +125,7 @@ class Cia402Spindle:
         return await self._axis.identify()
 
     async def status(self) -> DeviceStatus:
-        """See Device. Safe means without power, and standing."""
+        """See Device. Safe means without power and at standstill."""
         reading = await self._read(self._axis.link)
         return DeviceStatus(not reading.fault, reading.stands, reading.name, reading.detail)
 
@@ -151,7 +151,7 @@ class Cia402Spindle:
         return None
 
     async def samples(self) -> AsyncIterator[SpeedSample]:
-        """See Spindle. Each was asked for after the one before it was taken."""
+        """See Spindle. Each sample is requested after the one before it was taken."""
         link = self._axis.link
         pace = PeriodicTimer(SAMPLE_S)
         while True:
@@ -160,7 +160,7 @@ class Cia402Spindle:
             await pace.next()
 
     async def make_safe(self) -> None:
-        """See Device. Quick stop, and sees that it stands; where the link is down it connects once for that."""
+        """See Device. Quick stop and confirm standstill; if the link is down, connect once for that."""
 
         async def calm(link: CanopenConnection) -> None:
             await self._stop(link)
@@ -185,10 +185,10 @@ class Cia402Spindle:
             why = reading.detail or reading.state.value
             raise DeviceFault(f"{self._axis.name}: {why}, on the way to {rpm:g} rpm")
         if time.monotonic() > deadline:
-            raise DeviceFault(f"{self._axis.name}: {rpm:g} rpm not reached, {reading.rpm:g} rpm in the end")
+            raise DeviceFault(f"{self._axis.name}: {rpm:g} rpm not reached, {reading.rpm:g} rpm at the time limit")
 
     async def _read(self, link: CanopenConnection, *, cared: bool = False) -> Cia402SpindleReading:
-        """``cared``: somebody watches the spindle, which the drive is told."""
+        """Read the drive; ``cared``: send our heartbeat, because a caller monitors the spindle."""
         state = await self._axis.state(link)
         if cared:
             link.beat()

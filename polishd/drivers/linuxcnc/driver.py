@@ -1,4 +1,4 @@
-"""The robot behind LinuxCNC, over linuxcncrsh."""
+"""Driver of a robot on LinuxCNC, over linuxcncrsh."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
 from polishd.drivers.transport.program_tracker import PollingConnection, ProgramFile, ProgramTracker, time_shares
 from polishd.util.files import write_atomic
 
-# A connection that is looked through all the time, so that what LinuxCNC does is known, and standstill seen.
+# The polled connection: it reports LinuxCNC's state and detects standstill.
 
 LOOK_S = 0.005
-"""Between two looks while a program runs: LinuxCNC renews its own word every [TASK] CYCLE_TIME, 1 to 10 ms."""
+"""Pause between polls while a program runs: LinuxCNC updates its state every [TASK] CYCLE_TIME, 1 to 10 ms."""
 IDLE_LOOK_S = 0.02
 REPORT_S = 0.05
-"""Greatest age of what a look tells: LinuxCNC's own CYCLE_TIME, the pause between looks, and the six answers of one."""
+"""Greatest age of a snapshot: LinuxCNC's CYCLE_TIME, the pause between polls, and the six answers of one poll."""
 OPEN_S = 2.0
 
 
 class RshPoller(PollingConnection[RshConnection, RshSnapshot]):
-    """linuxcncrsh, polled."""
+    """Polled connection to linuxcncrsh."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class RshPoller(PollingConnection[RshConnection, RshSnapshot]):
         """Poll at the fast rate."""
 
     async def _connect(self) -> RshConnection:
-        """Connect, take control and prove it. DeviceBusy where another client has control."""
+        """Connect, take control and confirm it. DeviceBusy if another client has control."""
         connection = RshConnection(self._address, self._passwords, self._silence_s)
         await connection.open()
         try:
@@ -81,9 +81,9 @@ class RshPoller(PollingConnection[RshConnection, RshSnapshot]):
 
 
 async def abort(connection: RshConnection, stop_s: float) -> None:
-    """Abort and see that it stands. A machine that is off refuses the order, and stands.
+    """Abort and confirm standstill. A machine that is off refuses the command, and stands still.
 
-    A client that took control meanwhile loses it; the gate gives it back once the link that had it has ended.
+    A client that took control meanwhile loses it; the gateway returns it after the end of this link.
     """
     deadline = time.monotonic() + stop_s
     while True:
@@ -102,7 +102,7 @@ async def abort(connection: RshConnection, stop_s: float) -> None:
 
 
 async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:
-    """Whether the order was taken, or is not needed."""
+    """Whether the command was accepted, or is not needed."""
     try:
         await connection.control(anew=True)
         await connection.set("set abort", urgent=True)
@@ -116,7 +116,7 @@ async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:
 
 
 async def obstacle(connection: RshConnection) -> str:
-    """Why LinuxCNC would run nothing; empty where it would."""
+    """Return why LinuxCNC would not run a program; empty if it would."""
     if await connection.get("estop") != "OFF":
         return "LinuxCNC is in e-stop"
     if await connection.get("machine") != "ON":
@@ -124,14 +124,14 @@ async def obstacle(connection: RshConnection) -> str:
     return ""
 
 
-# The file that LinuxCNC runs: the program's blocks, with places to stand and words that tell how far it is.
+# The program file for LinuxCNC: the blocks, with pauses and messages that report progress.
 
 
 class LinuxCncProgramFile(ProgramFile):
     """Blocks with a pause (``M0``) before each of ``stops``, and a message before each pause and the program's end.
 
-    Run from line would lose G61/G64 and what else is queued; behind a pause all modal state is kept. linuxcncrsh shows
-    no line of a block that does not move, and the same state for our pause and an operator's: hence the messages.
+    *Run from line* would lose G61/G64 and other queued state; a pause keeps all modal state. linuxcncrsh reports no
+    line for a block without motion, and the same state for our pause and an operator's. The messages distinguish them.
     """
 
     def __init__(self, blocks: Sequence[bytes], stops: Iterable[int], token: str) -> None:
@@ -141,38 +141,38 @@ class LinuxCncProgramFile(ProgramFile):
         )
 
     def reached(self, message: str) -> int | None:
-        """Number of blocks that are executed by this operator message; None where it is none of ours."""
+        """Return the number of executed blocks in this operator message; None if it is not one of ours."""
         words = message.split()
         if len(words) == 3 and words[:2] == ["polishd", self._token] and words[2].isdecimal():
             return int(words[2])
         return None
 
     def write(self, folder: Path, name: str) -> Path:
-        """Put it there whole: temp, fsync, rename. DeviceRefused where that fails."""
+        """Write the file atomically: temporary file, fsync, rename. DeviceRefused if that fails."""
         path = folder / name
         try:
             write_atomic(path, self.text)  # readable by all: LinuxCNC may be another user
         except OSError as error:
-            raise DeviceRefused(f"{path}: {error.strerror or error}. To do: look at [robot] program_dir") from error
+            raise DeviceRefused(f"{path}: {error.strerror or error}. Check [robot] program_dir.") from error
         return path
 
     def _message(self, executed: int) -> bytes:
         return f"(MSG,polishd {self._token} {executed})".encode()
 
 
-# How far LinuxCNC is in its file, and when it did what. Sans-IO: snapshots in, records out.
+# Progress of LinuxCNC in its file. Sans-IO: snapshots in, records of executed blocks out.
 
 FASTEST = 2.5
-"""More than any feed override makes of the planned speed."""
+"""Upper limit of the feed override's effect on the planned speed."""
 SLACK_S = 0.25
-"""Of the plan, and of looks at a busy controller."""
+"""Tolerance for the plan's times and for polls of a busy controller."""
 
 
 class LinuxCncProgramTracker(ProgramTracker):
-    """One program from its load to its end.
+    """Tracker of one program from its load to its end.
 
-    A block that moves is timed to one look. The blocks of one look share its time: those that dwell get what passed
-    at rest, by the time they ask for; in a program that times its feed, the others get nothing.
+    The end of a moving block is known to one poll. The blocks of one poll share its time: dwells share the time at
+    rest in proportion to their programmed times. In a program that times its feed, the other blocks get no time.
     """
 
     def __init__(self, plan: Plan, blocks: int) -> None:
@@ -183,23 +183,23 @@ class LinuxCncProgramTracker(ProgramTracker):
         self._asked_s[timed] = plan.program.time_s[: len(timed)]
         self._dwells = plan.program.encoding == "dwell"
         self._rest_s = 0.0
-        """When it last moved."""
+        """Time of the last motion."""
         self._reached: int | None = None
         self._last: RshSnapshot | None = None
 
     def go(self, time_s: float, detail: str = "") -> None:
-        """It runs, from that time of its own clock."""
+        """See ProgramTracker."""
         super().go(time_s, detail)
         self._reached = None
 
     def update(self, look: RshSnapshot) -> None:
-        """Take what LinuxCNC was doing just now."""
+        """Process a snapshot of LinuxCNC."""
         moved = self._last is not None and look.moved_since(self._last)
         self._last = look
         if self.file is None or self.ended:
             return
         if self.state != "running":
-            self._told_while_held(look)
+            self._update_while_held(look)
             return
         self.tick(look.time_s)
         if moved:
@@ -217,11 +217,11 @@ class LinuxCncProgramTracker(ProgramTracker):
             self._paused()
 
     def _can_be_at(self, block: int) -> bool:
-        """Whether its motion can be there by now: while it begins to move it reports the line that it has read last."""
+        """Whether the motion can have reached this block: at its start LinuxCNC reports the line that it read last."""
         return self.expected_s(block) <= FASTEST * (self.clock_s - self.began_s) + SLACK_S
 
-    def _told_while_held(self, look: RshSnapshot) -> None:
-        """Somebody else starts it; or our message comes after the pause, since others stood before it."""
+    def _update_while_held(self, look: RshSnapshot) -> None:
+        """Handle a start by another client, or our message after the pause, when others were queued before it."""
         if not self.started or self.file is None:
             return
         if look.status == "running":
@@ -235,7 +235,7 @@ class LinuxCncProgramTracker(ProgramTracker):
         return reached is not None
 
     def _idle(self) -> None:
-        """It ended, or has not begun. The line that it tells now is the one last read, far ahead of the motion."""
+        """The program has ended or not begun. The reported line is the last one read, far ahead of the motion."""
         if self._reached == self.blocks:
             self._advance(self.blocks)
             self.state, self.detail = "done", ""
@@ -250,7 +250,7 @@ class LinuxCncProgramTracker(ProgramTracker):
             self.state, self.detail = "held", "paused"
 
     def _advance(self, to: int) -> None:
-        """All blocks below ``to`` are executed by now."""
+        """Record all blocks below ``to`` as executed."""
         first = len(self)
         if to <= first:
             return
@@ -260,27 +260,27 @@ class LinuxCncProgramTracker(ProgramTracker):
 
 
 VERIFY_S, VERIFY_LINE_S = 2.0, 5e-5
-"""Interpreting without moving answers when it is through: 100,000 lines take half a second."""
+"""Time to interpret a line without motion: 100,000 lines take half a second."""
 FILE_NAME = "polishd.ngc"
 TIMES = RobotTimes(
     SILENCE_S,
     math.inf,
     2.0,
     lifts=False,
-    block_end_s=REPORT_S / math.sqrt(12.0),  # it ended at any time within the age of a look
+    block_end_s=REPORT_S / math.sqrt(12.0),  # the end is uniform within the age of a snapshot
     report_s=REPORT_S,
     reports_dwells=False,
 )
 
 
 class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
-    """A Robot over linuxcncrsh. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
+    """A Robot over linuxcncrsh. A lost link stays lost until ``open``; only ``make_safe`` reconnects.
 
-    Never switches the machine on and never homes it: that is for the operator, who sees it move.
+    It never switches the machine on and never homes it: the operator does that and watches it move.
     """
 
     longest_line = 252
-    """Measured: the interpreter refuses a longer one."""
+    """Measured: the interpreter refuses a longer line."""
 
     def __init__(
         self,
@@ -291,7 +291,7 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
         controller_dir: str = "",
         passwords: tuple[str, str] = ("EMC", "EMCTOO"),
     ) -> None:
-        """``program_dir`` is where the file is written; ``controller_dir`` how the controller calls that folder."""
+        """``program_dir`` is the folder of the file; ``controller_dir`` is the controller's path of that folder."""
         super().__init__(str(address), times or TIMES)
         self._address = address
         self._folder = program_dir
@@ -304,7 +304,7 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
         return self._poller
 
     async def open(self) -> None:
-        """See Device. Proves that it controls LinuxCNC. What ran when the link was lost is followed further."""
+        """See Device. Confirms control of LinuxCNC. Continues to track a program that ran when the link was lost."""
         await self.close()
         self._stay()
         await self._poller.open()
@@ -314,13 +314,13 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
         await self._poller.close()
 
     async def identify(self) -> DeviceIdentity:
-        """See Device. LinuxCNC has no serial number and no boot id; its configuration stands for the machine."""
+        """See Device. LinuxCNC has no serial number and no boot id; its configuration identifies the machine."""
         connection = self._poller.link
         name, _, version = connection.server.partition(" ")
         return DeviceIdentity("LinuxCNC", name, await connection.get("inifile"), version)
 
     async def status(self) -> DeviceStatus:
-        """See Device. Ready: switched on. Safe: no program runs and it stands still."""
+        """See Device. Ready: switched on. Safe: no program runs, and standstill."""
         why = await obstacle(self._poller.link)
         return DeviceStatus(ready=not why, safe=self._poller.stands, state=self._poller.last.status, detail=why)
 
@@ -337,7 +337,7 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
             await connection.close()
 
     async def hold(self) -> None:
-        """See Robot. A pause: it decelerates along the path. Inside G4 it stands anyway, and the dwell runs out."""
+        """See Robot. A pause decelerates along the path. During G4 the robot stands still, and the dwell continues."""
         connection = self._poller.link
         self._stay()
         if self._running():
@@ -354,7 +354,7 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
     async def _clear(self) -> None:
         connection = self._poller.link
         if why := await obstacle(connection):
-            raise DeviceRefused(f"{self._address}: {why}. To do: switch LinuxCNC on and home it, then try again")
+            raise DeviceRefused(f"{self._address}: {why}. Switch LinuxCNC on and home it, then try again.")
         await connection.control()
         await connection.set("set abort")
 
@@ -362,7 +362,7 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
         return LinuxCncProgramTracker(plan, blocks)
 
     async def _load(self, plan: Plan, tracker: LinuxCncProgramTracker) -> None:
-        """Write the file, open it, and have it interpreted without motion."""
+        """Write the file, open it, and let LinuxCNC interpret it without motion."""
         connection = self._poller.link
         file = LinuxCncProgramFile(self._lines, self._stops(plan), secrets.token_hex(4))
         path = await asyncio.to_thread(file.write, self._folder, FILE_NAME)
@@ -370,9 +370,9 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
         await connection.set("set mode auto")
         await connection.set(f"set open {PurePosixPath(self._controller_dir) / path.name}")
         await connection.set("set run -1", within_s=VERIFY_S + VERIFY_LINE_S * tracker.blocks)
-        await self._poller.standstill("interpreting the program", self._times.stop_s)  # until then it refuses to run
+        await self._poller.standstill("interpreting the program", self._times.stop_s)  # until then no run
         if errors := await connection.errors():
-            raise DeviceRefused(f"{self._address}: LinuxCNC does not take the program: {errors}")
+            raise DeviceRefused(f"{self._address}: LinuxCNC refuses the program: {errors}")
         tracker.file = file
 
     async def _run(self, tracker: LinuxCncProgramTracker, wanted: IsWanted) -> None:
@@ -402,19 +402,19 @@ class LinuxCncOptions(ConfigSection):
     address: str
     """``tcp://host:port`` of linuxcncrsh."""
     program_dir: str
-    """Folder that programs are written to, and that LinuxCNC can read."""
+    """Folder for programs that LinuxCNC can read."""
     controller_dir: str = ""
-    """How LinuxCNC calls that folder, where it lies on another machine."""
+    """LinuxCNC's path of that folder, if LinuxCNC runs on another computer."""
     password: str = Field("EMC", pattern=r"^\S+$")
-    """linuxcncrsh's `--connectpw`; no blanks."""
+    """`--connectpw` of linuxcncrsh; no blanks."""
     enable_password: str = Field("EMCTOO", pattern=r"^\S+$")
-    """linuxcncrsh's `--enablepw`; no blanks."""
+    """`--enablepw` of linuxcncrsh; no blanks."""
     silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 0.6
-    """No answer for so long: the link is lost, and contact is left. On an idle computer it answers within 0.1 s."""
+    """Longest time without an answer; then the link is lost and contact is left. An idle computer answers in 0.1 s."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] | None = None
-    """Of a watchdog in HAL that pauses the program when nobody talks to it; without one it runs to the end."""
+    """Time of a watchdog in HAL that pauses the program when the link is silent. Without one the program runs on."""
     stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 2.0
-    """Longest that it takes to stop."""
+    """Longest time to stop."""
 
 
 def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:

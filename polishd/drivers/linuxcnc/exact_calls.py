@@ -1,7 +1,7 @@
-"""Prints a program's canonical calls as ``rs274 -g`` does, but with doubles and line numbers.
+"""Print a program's canonical calls as ``rs274 -g`` does, but with doubles and line numbers.
 
-A script of its own: run by the Python that LinuxCNC's module ``gcode`` is built for, not by polishd's. Lengths are in
-inches, whatever the program says: so the module has it.
+A separate script: it runs in the Python that LinuxCNC's module ``gcode`` is built for, not in polishd's. The module
+gives lengths in inches, whatever the program's unit is.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ ANSWERS = {
     "get_axis_mask": 0x3F,  # X, Y, Z, A, B, C
     "get_block_delete": False,  # the switch is off: a line that begins with / is read, as ``rs274 -g`` does
 }
-"""What the interpreter asks of the machine."""
+"""Machine parameters for the interpreter."""
 
 
 class Canon:
-    """What the interpreter calls: a machine without tools that prints what it hears."""
+    """Machine interface for the interpreter: no tools; prints each call."""
 
     parameter_file = "program.var"
 
@@ -37,27 +37,27 @@ class Canon:
             sys.stdout.write(f"{self._count} N{self._line} {name.upper()}({shown})\n")
 
         found = (lambda: ANSWERS[name]) if name in ANSWERS else call
-        setattr(self, name, found)  # the next call of this name finds it at once
+        setattr(self, name, found)  # cached for the next call of this name
         return found
 
     def next_line(self, state: Any) -> None:
-        """The interpreter begins a line."""
+        """Record that the interpreter begins a line."""
         self._line = state.sequence_number
 
     def get_tool(self, pocket: int) -> tuple[float, ...]:
-        """The tool in a pocket: of length 0."""
+        """Return the tool in a pocket, of length 0."""
         return (pocket, *(0.0,) * 12, 0)
 
 
 def load_tools() -> None:
-    """Put the tools of tool.tbl where the interpreter looks for them: it dies at ``G43 H1`` where nobody has."""
+    """Load tool.tbl into the interpreter's tool memory: without it the interpreter crashes at ``G43 H1``."""
     data = ctypes.CDLL("libtooldata.so.0")
     data["_Z17tool_mmap_creatorPK13EMC_TOOL_STATi"](None, 0)
     data["_Z13tooldata_loadPKcPPc"](b"tool.tbl", None)
 
 
 def main(path: str) -> int:
-    """Interpret a file; 1, and the reason on stderr, where the interpreter refuses it."""
+    """Interpret a file; return 1 and print the reason on stderr if the interpreter refuses it."""
     import gcode  # type: ignore[import-not-found]  # LinuxCNC's, in the system's Python
 
     load_tools()

@@ -1,7 +1,7 @@
-"""LinuxCNC's own interpreter as an independent reader: a program as the canonical calls that its machine would get.
+"""LinuxCNC's interpreter as an independent reader: it converts a program to canonical machine calls.
 
-``rs274 -g`` prints every figure with four decimals and cannot be told otherwise. The Python module ``gcode`` of the
-same package runs the same interpreter and hands over doubles and line numbers, so it is taken where it is.
+``rs274 -g`` always prints four decimals. The Python module ``gcode`` of the same package runs the same interpreter and
+gives doubles and line numbers, so it is used if it is installed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from polishd.model.errors import ProgramError
 from polishd.util.secret_files import environment_without_secrets
 
 LIMIT_S = 900.0
-"""Longest run: a million lines take 8 s, and a loop without an end would take for ever."""
+"""Longest run: a million lines take 8 s; the limit ends an endless loop."""
 PRINTED = 0.5e-4
 """Half of the last digit that ``rs274 -g`` prints."""
 
@@ -38,19 +38,19 @@ class Call(NamedTuple):
     """A canonical call: ``STRAIGHT_FEED(1.0, 2.0, ...)``."""
 
     line: int
-    """1-based line of the program; 0 where the interpreter does not say (``rs274 -g``)."""
+    """1-based line of the program; 0 if the interpreter does not report it (``rs274 -g``)."""
     name: bytes
     arguments: bytes
     """As printed, without the brackets."""
 
     def numbers(self) -> list[float]:
-        """The arguments as numbers. ValueError where one is none (units, comments)."""
+        """Return the arguments as numbers. ValueError for other arguments (units, comments)."""
         return [float(word) for word in self.arguments.split(b",")]
 
 
 @cache
 def exact_python() -> str | None:
-    """The Python that has LinuxCNC's module ``gcode``, tried with a small program; None where there is none."""
+    """Return the Python with LinuxCNC's module ``gcode``, tested with a small program; None if there is none."""
     for python in _PYTHONS:
         if Path(python).exists():
             with _folder(b"G43 H1\nM2\n") as folder:
@@ -68,17 +68,17 @@ def exact_python() -> str | None:
 
 @contextmanager
 def canonical_calls(program: bytes | Path, name: str, *, exact: bool = False) -> Iterator[Iterator[Call]]:
-    """Run a program through LinuxCNC's interpreter; the calls come as it makes them, in bounded memory.
+    """Run a program through LinuxCNC's interpreter and yield its calls in bounded memory.
 
     Args:
         program: The program's text, or its file. It must end with M2, M30 or ``%``.
         name: The program's name, for messages.
         exact: Doubles (lengths in inches) and line numbers, from the module ``gcode`` (see ``exact_python``).
-            False: what ``rs274 -g`` prints, four decimals.
+            False: the output of ``rs274 -g``, four decimals.
 
     Raises:
-        ProgramError: LinuxCNC is not installed, or its interpreter refuses the program; with its own words. Raised
-            while the calls are taken.
+        ProgramError: LinuxCNC is not installed, or its interpreter refuses the program (with its message).
+            Raised while the calls are read.
     """
     command = _command(exact=exact)
     with (
@@ -91,21 +91,21 @@ def canonical_calls(program: bytes | Path, name: str, *, exact: bool = False) ->
 
 @contextmanager
 def _folder(program: bytes | Path) -> Iterator[str]:
-    """A folder for one run: it writes its variables where it stands, and its tools into the home folder."""
+    """Folder for one run: the interpreter writes variables to its working folder, and tools to the home folder."""
     with TemporaryDirectory(prefix="polishd-rs274-") as folder:
         file = Path(folder, PROGRAM)
         if isinstance(program, Path):
             file.symlink_to(program.absolute())
         else:
             file.write_bytes(program)
-        # Tools without lengths and no variables: not those of a machine that is set up here
+        # Tools without lengths and no variables, not those of a machine on this computer
         Path(folder, "tool.tbl").write_text("".join(f"T{tool} P{tool} Z0\n" for tool in range(1, TOOLS + 1)))
         Path(folder, "program.var").touch()
         yield folder
 
 
 def _home(folder: str) -> dict[str, str]:
-    """It maps ~/.tool.mmap: two at once, or one beside a running LinuxCNC, would tread on each other."""
+    """Environment with its own home folder: ~/.tool.mmap would be shared with other runs and a running LinuxCNC."""
     return environment_without_secrets({"HOME": folder})
 
 
@@ -117,15 +117,15 @@ def _command(*, exact: bool) -> list[str]:
     rs274 = shutil.which("rs274")
     if rs274 is None:
         raise ProgramError(
-            "LinuxCNC's interpreter rs274 is not installed. To do: apt-get install --no-install-recommends "
-            "linuxcnc-uspace (Debian), or leave --with rs274 out."
+            "LinuxCNC's interpreter rs274 is not installed. Install it with apt-get install --no-install-recommends "
+            "linuxcnc-uspace (Debian), or omit --with rs274."
         )
     return [rs274, "-t", "tool.tbl", "-v", "program.var", "-g", PROGRAM]
 
 
 @contextmanager
 def _started(command: list[str], folder: str, said: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
-    """The interpreter's process, which does not outlive the block, nor the time limit."""
+    """Run the interpreter's process, which ends with the block or at the time limit."""
     with subprocess.Popen(
         command, cwd=folder, env=_home(folder), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said
     ) as process:
@@ -146,7 +146,7 @@ def _calls(process: subprocess.Popen[bytes], said: IO[bytes], name: str) -> Iter
         head, bracket, arguments = printed.partition(b"(")
         words = head.split()
         if not bracket or len(words) != 3:
-            raise ProgramError(f"{name}: rs274 says {printed[:80]!r}, which is no canonical call.")
+            raise ProgramError(f"{name}: rs274 printed {printed[:80]!r}, which is not a canonical call.")
         number = words[1].removeprefix(b"N")
         yield Call(int(number) if number.isdigit() else 0, words[2], arguments.rstrip().removesuffix(b")"))
     if process.wait() != 0:
@@ -154,12 +154,12 @@ def _calls(process: subprocess.Popen[bytes], said: IO[bytes], name: str) -> Iter
 
 
 def _complaint(code: int, said: IO[bytes]) -> str:
-    """What the interpreter said before it gave up: its own words."""
+    """Return the interpreter's error message."""
     said.seek(0)
     lines = said.read(4096).decode("utf-8", "replace").splitlines()
     words = "; ".join(line.strip() for line in lines if line.strip() and line.strip() not in _DECOR)
     if not words:
         words = f"no reason, exit code {code}"
         if code < 0:
-            words = f"it died of signal {-code}" + (f", perhaps at the limit of {LIMIT_S:g} s" if code == -9 else "")
-    return f"LinuxCNC's interpreter refuses it: {words}. To do: mend the program, or verify without --with rs274."
+            words = f"it ended with signal {-code}" + (f", perhaps at the limit of {LIMIT_S:g} s" if code == -9 else "")
+    return f"LinuxCNC's interpreter refuses it: {words}. Correct the program, or verify without --with rs274."

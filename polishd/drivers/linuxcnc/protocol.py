@@ -1,4 +1,4 @@
-"""One TCP connection to linuxcncrsh: one request at a time, each with its answer, LinkError without one."""
+"""Connection to linuxcncrsh: one request at a time; LinkError without an answer."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import RequestQueue
 from polishd.drivers.transport.streams import LineReader, open_stream
 
-# What linuxcncrsh is asked and answers (docs/protocols/linuxcnc.md). Sans-IO: lines in, facts out.
+# Requests and answers of linuxcncrsh (docs/protocols/linuxcnc.md). Sans-IO.
 
 MOST_PERCENT = 1000.0
 """More feed override than any [DISPLAY] MAX_FEED_OVERRIDE allows."""
 Status = Literal["idle", "running", "paused"]
 AXES = 6
-"""X Y Z A B C: what linuxcncrsh tells of a position, whatever axes the machine has."""
+"""X Y Z A B C: the axes of a position in linuxcncrsh, whatever axes the machine has."""
 STILL = 1e-6
-"""mm or deg: what linuxcncrsh prints."""
+"""Resolution of linuxcncrsh's output, mm or deg."""
 
 
 @dataclass(frozen=True, slots=True)
 class RshReply:
-    """One line of linuxcncrsh: to which request (``get estop``, ``set run``, ``hello``), whether it obeys, the rest."""
+    """Line of linuxcncrsh: its request (``get estop``, ``set run``, ``hello``), acceptance, and value."""
 
     to: str
     ok: bool
@@ -35,38 +35,38 @@ class RshReply:
 
 @dataclass(frozen=True, slots=True)
 class RshSnapshot:
-    """What LinuxCNC was doing when it was looked at."""
+    """State of LinuxCNC at one poll."""
 
     time_s: float
-    """Its own clock."""
+    """Time on LinuxCNC's clock."""
     line: int
-    """Line of the motion under way, 1-based; where nothing runs it means nothing."""
+    """Line of the motion under way, 1-based; undefined while no program runs."""
     status: Status
     position: tuple[float, ...]
-    """Where it means to be, mm and deg: without the noise of the encoders, which it follows within FERROR."""
+    """Commanded position, mm and deg: without encoder noise; the axes follow within FERROR."""
     display: str
-    """The operator message that came since the last look, or empty."""
+    """Operator message since the last poll, or empty."""
     override: float = 1.0
-    """Its feed override, as a fraction."""
+    """Feed override as a fraction."""
 
     def moved_since(self, other: RshSnapshot) -> bool:
-        """It was elsewhere then."""
+        """Whether the position differs."""
         return any(abs(a - b) > STILL for a, b in zip(self.position, other.position, strict=True))
 
 
 def asks(request: str) -> str:
-    """What an answer to this request names in ``Answer.to``."""
+    """Return the value of ``RshReply.to`` in the answer to this request."""
     words = request.lower().split()
     return words[0] if words[0] == "hello" else " ".join(words[:2])
 
 
 def parse(line: bytes) -> RshReply | None:
-    """Read one line; None for echoes, blank lines and garbage."""
+    """Parse a line; None for echoes, blank lines and invalid data."""
     try:
         text = line.decode("ascii").strip(" \r\n")
     except UnicodeDecodeError:
         return None
-    if not text.replace("\t", " ").isprintable():  # some of what does not print would count as space
+    if not text.replace("\t", " ").isprintable():  # some unprintable characters would count as space
         return None
     words = text.split(" ", 2)
     match words:
@@ -80,21 +80,21 @@ def parse(line: bytes) -> RshReply | None:
 
 
 def status_of(value: str) -> Status:
-    """``RUNNING`` and its like; ProtocolError for what is none of them."""
+    """Parse ``RUNNING`` and the other states; ProtocolError for an unknown one."""
     if value.lower() not in ("idle", "running", "paused"):
         raise ProtocolError(f"linuxcncrsh: PROGRAM_STATUS {value!r}")
     return cast("Status", value.lower())
 
 
 def line_of(value: str) -> int:
-    """A line number; ProtocolError where it is none."""
+    """Parse a line number; ProtocolError if it is invalid."""
     if not value.isdecimal():
         raise ProtocolError(f"linuxcncrsh: PROGRAM_LINE {value!r}")
     return int(value)
 
 
 def override_of(value: str) -> float:
-    """A feed override in percent, as a fraction; ProtocolError where it is none."""
+    """Parse a feed override in percent to a fraction; ProtocolError if it is invalid."""
     (percent,) = numbers_of(value, 1)
     if not 0.0 <= percent <= MOST_PERCENT:
         raise ProtocolError(f"linuxcncrsh: FEED_OVERRIDE {value!r}, not 0 to {MOST_PERCENT:g} %")
@@ -102,7 +102,7 @@ def override_of(value: str) -> float:
 
 
 def numbers_of(value: str, count: int) -> tuple[float, ...]:
-    """So many numbers; ProtocolError where they are not."""
+    """Parse ``count`` numbers; ProtocolError if they are invalid."""
     try:
         found = tuple(map(float, value.split()))
     except ValueError:
@@ -114,16 +114,16 @@ def numbers_of(value: str, count: int) -> tuple[float, ...]:
 
 CONNECT_S = 0.8
 SILENCE_S = 0.6
-"""It answers a question within a millisecond, an order after 0.1 s."""
+"""Longest wait: linuxcncrsh answers a query within a millisecond, a command after 0.1 s."""
 MESSAGES = 50
-"""More old messages than that are no accident."""
+"""Most old messages to drain: more indicate a fault."""
 
 
 class RshConnection:
-    """From hello to the end of the link; never opened again.
+    """Connection from hello to the end of the link; never reopened.
 
-    Requests never overlap: linuxcncrsh takes words apart with strtok in one thread a connection, and its answers carry
-    no number. So what is late or cut breaks the link rather than answer the next request.
+    Requests never overlap: linuxcncrsh splits words with strtok in one thread per connection, and its answers have no
+    number. A late or cut answer therefore ends the link and is never taken for the next request's.
     """
 
     def __init__(self, address: Tcp, passwords: tuple[str, str], silence_s: float = SILENCE_S) -> None:
@@ -137,7 +137,7 @@ class RshConnection:
         self.server = ""
 
     async def open(self) -> None:
-        """Connect and say hello. Asks for no control: see ``control``."""
+        """Connect and send hello. Does not request control: see ``control``."""
         self._stream = await open_stream(self._address, CONNECT_S)
         self._lines = LineReader(self._stream, longest=1024)
         try:
@@ -150,21 +150,21 @@ class RshConnection:
             raise
 
     async def close(self) -> None:
-        """Hang up; idempotent."""
+        """Disconnect; idempotent."""
         await self._queue.stop()
         if self._stream is not None:
             await self._stream.close()
 
     async def get(self, name: str) -> str:
-        """A value; ProtocolError where linuxcncrsh does not know it."""
+        """Return a value; ProtocolError if linuxcncrsh does not have it."""
         return (await self._queue.ask(lambda: self._ask(f"get {name}"))).value
 
     async def set(self, command: str, *, urgent: bool = False, within_s: float | None = None) -> None:
-        """Give an order and wait until LinuxCNC has received it. DeviceRefused where it does not take it."""
+        """Send a command and wait until LinuxCNC has received it. DeviceRefused if LinuxCNC refuses it."""
         await self._queue.ask(lambda: self._ask(command, within_s), urgent=urgent)
 
     async def set_if(self, wanted: Callable[[], bool], command: str) -> None:
-        """The same, if it is still wanted when its turn comes: urgent orders overtake it until then."""
+        """Like ``set``, if the command is still wanted in its turn: urgent commands overtake it."""
 
         async def order() -> None:
             if wanted():
@@ -173,9 +173,9 @@ class RshConnection:
         await self._queue.ask(order)
 
     async def control(self, *, anew: bool = False) -> None:
-        """Ask for the right to give orders and prove it, once a connection; ``anew``: it may have been taken since.
+        """Request control and confirm it, once per connection; ``anew``: another client may have taken it since.
 
-        DeviceBusy where another client has it. The gate refuses a second one; linuxcncrsh itself lets it take over.
+        DeviceBusy if another client has control. The gateway refuses a second client; linuxcncrsh lets it take over.
         """
         if self._controls and not anew:
             return
@@ -195,11 +195,11 @@ class RshConnection:
         )
 
     async def look(self) -> RshSnapshot:
-        """What LinuxCNC is doing."""
+        """Return LinuxCNC's present state."""
         return await self._queue.ask(self._looked)
 
     async def errors(self) -> str:
-        """What it has to complain of since it was last asked; forgets operator messages with it."""
+        """Return LinuxCNC's errors since the last call; also drops operator messages."""
         return await self._queue.ask(self._drain)
 
     async def _looked(self) -> RshSnapshot:
@@ -207,16 +207,16 @@ class RshConnection:
             return await self._look()
         except ProtocolError:
             if self._stream is not None:
-                await self._stream.close()  # the true answer may come yet, to the next question of that name
+                await self._stream.close()  # the late answer could be taken for the next request of that name
             raise
 
     async def _look(self) -> RshSnapshot:
         time_s = numbers_of(await self._get("time"), 1)[0]
-        # line before status: after an abort the line jumps to the last one read, and the status says so
+        # line before status: after an abort the line jumps to the last one read, and the status shows the abort
         line = line_of(await self._get("program_line"))
         position = numbers_of(await self._get("abs_cmd_pos"), AXES)
         status = status_of(await self._get("program_status"))
-        # after the status: a message comes before the pause that it announces
+        # after the status: a message arrives before the pause that it announces
         display = await self._get("operator_display")
         override = override_of(await self._get("feed_override"))
         return RshSnapshot(time_s, line, status, position, "" if display == "OK" else display, override)
@@ -240,10 +240,10 @@ class RshConnection:
         await self._stream.write(request.encode() + b"\r\n")
 
     async def _ask(self, request: str, within_s: float | None = None) -> RshReply:
-        """Send and wait for the answer; whatever goes wrong ends the link."""
+        """Send and wait for the answer; any error ends the link."""
         try:
             if self._lines is not None:
-                await self._lines.restart()  # an answer that came twice
+                await self._lines.restart()  # an answer that arrived twice
             await self._tell(request)
             answer = await self._answer(asks(request), self._silence_s if within_s is None else within_s)
         except LinkError:

@@ -1,6 +1,6 @@
-"""Variables over ADS. The only file that knows pyads, whose calls block: they are made in a thread, one at a time.
+"""Variables over ADS. The only file that imports pyads. Its calls block, so they run in a thread, one at a time.
 
-AdsLib beneath it keeps one route a controller for the whole process, always on TCP port 48898.
+AdsLib keeps one route per controller for the whole process, always on TCP port 48898.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from polishd.util.address_claims import Claim
 T = TypeVar("T")
 CLOSE_S = 0.5
 ROUTER_PORT = 48898
-"""TCP port of every AMS router: several programs may reach different machines through one."""
+"""TCP port of every AMS router, shared by several programs for different machines."""
 NOT_FOUND = (0x6, 0x7, 0x710, 0x716)
-"""Errors of ADS that say that there is nothing: port, machine, symbol, version."""
+"""ADS errors for a missing port, machine, symbol or version."""
 UNREADABLE = (LookupError, ValueError, struct.error)
-"""What pyads raises over an answer that is none: a number of an error that no table has, text that is no text."""
+"""Exceptions of pyads for an invalid answer: an unknown error number, undecodable text."""
 
 
 class Ads:
-    """A Variables of the ADS device ``netid:port`` behind ``host``. Readings are timed by this computer."""
+    """Variables of the ADS device ``netid:port`` on ``host``. This computer's clock times the readings."""
 
     def __init__(self, host: str, netid: str, port: int, table: VariablesTable, silence_s: float) -> None:
         self._name = f"ads://{host}/{netid}:{port}"
@@ -42,7 +42,7 @@ class Ads:
         self._written = written(table)
         self._silence_s = silence_s
         self._thread: ThreadPoolExecutor | None = None
-        self._connection: Any = None  # pyads has no types
+        self._connection: Any = None  # pyads is untyped
         self._claimed = Claim()
 
     async def open(self) -> None:
@@ -79,7 +79,7 @@ class Ads:
             self._claimed.release()
 
     async def identify(self) -> DeviceIdentity:
-        """See Variables. ADS tells no serial number and no start."""
+        """See Variables. ADS reports no serial number and no start time."""
         name, version = await self._call(lambda plc: plc.read_device_info())
         firmware = f"{version.version}.{version.revision}.{version.build}"
         return DeviceIdentity("", str(name), self._target[0], firmware)
@@ -117,7 +117,7 @@ class Ads:
         return connection
 
     async def _call(self, work: Callable[[Any], T]) -> T:
-        """One call's answer. What has begun in the thread goes on there when nobody waits for it any more."""
+        """Return the answer of a call. A call that is cancelled continues in its thread."""
         thread, connection = self._thread, self._connection
         if thread is None:
             raise LinkError(f"{self._name}: is not open")
@@ -126,10 +126,10 @@ class Ads:
             return await asyncio.wrap_future(thread.submit(work, connection))
         except library.ADSError as error:
             if error.err_code in NOT_FOUND:
-                raise ProtocolError(f"{self._name}: {error}: look at the addresses in the profile") from error
-            raise LinkError(f"{self._name}: answers no more: {error}") from error
+                raise ProtocolError(f"{self._name}: {error}. Check the addresses in the profile.") from error
+            raise LinkError(f"{self._name}: does not answer: {error}") from error
         except UNREADABLE as error:
-            told = f"{type(error).__name__}: {error}"
+            reason = f"{type(error).__name__}: {error}"
             raise ProtocolError(
-                f"{self._name}: an answer that cannot be read ({told}); see what is on that wire"
+                f"{self._name}: invalid answer ({reason}). Check which device has this address."
             ) from error

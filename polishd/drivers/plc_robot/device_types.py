@@ -1,4 +1,4 @@
-"""The device type ``plc_robot``: a robot whose controller loads a file and is ordered by its variables."""
+"""Device type ``plc_robot``: a robot whose controller loads a file and is commanded by its variables."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ class PlcRobotOptions(ConfigSection):
     profile: str
     """The controller's profile: a shipped one by its name, or the path of a ``.toml``."""
     address: str
-    """Where its variables are: ``opc.tcp://host:port`` for opcua, ``ads://host/NETID:PORT`` for ads, ``tcp://host:port``
+    """Address of its variables: ``opc.tcp://host:port`` for opcua, ``ads://host/NETID:PORT`` for ads, ``tcp://host:port``
     for modbus."""
     delivery: str
-    """Where it reads files from: ``folder:PATH``, ``ftp://user@host/PATH`` or ``sftp://user@host/PATH``."""
+    """Folder that it reads files from: ``folder:PATH``, ``ftp://user@host/PATH`` or ``sftp://user@host/PATH``."""
     controller_dir: str = ""
-    """What stands before the file's name when it is told to load it, with its last ``/`` or ``\\``."""
+    """Path before the file's name in the load command, with its last ``/`` or ``\\``."""
     user: str = ""
-    """Who logs in on opcua; empty: nobody."""
+    """User of the opcua login; empty: no login."""
     password: SecretPlace | None = None
-    """That user's."""
+    """Password of that user."""
     certificate: str = ""
-    """Ours, PEM or DER, for opcua that is signed and encrypted (Basic256Sha256); its URI is ``urn:polishd``."""
+    """polishd's certificate, PEM or DER, for signed and encrypted opcua (Basic256Sha256), with URI ``urn:polishd``."""
     private_key: str = ""
-    """That certificate's."""
+    """Private key of that certificate."""
     server_certificate: str = ""
-    """The controller's: a server with another one is not spoken to."""
+    """Certificate of the controller; a server with another one is refused."""
     delivery_password: SecretPlace | None = None
-    """That of the user in ``delivery``."""
+    """Password of the user in ``delivery``."""
     known_hosts: str = "~/.ssh/known_hosts"
-    """The file with the host key that sftp is to find: a host without one is refused."""
+    """File with the host key for sftp; a host without a key is refused."""
 
 
-# From the options to a closed robot. What they name is looked at, and nothing is opened.
+# Build a closed robot from the options. Checks what they name and opens nothing.
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
 EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
-"""Extras of polishd, and the library that each brings."""
+"""Extras of polishd, and the library of each."""
 
 
 def build(options: PlcRobotOptions, context: DeviceContext) -> PlcRobot:
-    """The robot. ConfigError where the controller must not polish, or a library is missing."""
+    """Build the robot. ConfigError if the controller must not polish, or a library is missing."""
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
     make = _link(profile, options, context)
@@ -75,7 +75,7 @@ def build(options: PlcRobotOptions, context: DeviceContext) -> PlcRobot:
 
 
 def own_lines(options: PlcRobotOptions, context: DeviceContext) -> OwnLines:
-    """Pauses, dwells and the end, as the controller's profile writes them."""
+    """Return the pauses, dwells and program ends of the controller's profile."""
     table = load_controller_profile(options.profile, context.base_dir).program
     dwells = {seconds: table.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
     return OwnLines(f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end))
@@ -87,7 +87,7 @@ def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceC
         case "opcua":
             _require("opcua", f"profile {options.profile!r}")
             if not options.address.startswith("opc.tcp://"):
-                raise ConfigError(f"address {options.address!r}: opcua runs over opc.tcp://host:port")
+                raise ConfigError(f"address {options.address!r}: opcua needs opc.tcp://host:port")
             password = read_secret(options.password, context.base_dir) if options.password is not None else ""
             papers = _papers(options, context.base_dir)
             return lambda: OpcUa(options.address, table, silence_s, options.user, password, papers=papers)
@@ -98,18 +98,18 @@ def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceC
         case "modbus":
             where = tcp_address(options.address, context.base_dir, "modbus")
             make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
-            make()  # its addresses are looked at
+            make()  # checks its addresses
             return make
 
 
 def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | None:
-    """All three files, or None where none is named."""
+    """Return all three files, or None if none is named."""
     names = {key: getattr(options, key) for key in ("certificate", "private_key", "server_certificate")}
     if not any(names.values()):
         return None
     for key, name in names.items():
         if not (name and (base_dir / Path(name).expanduser()).is_file()):
-            said = f"{name!r} is no file" if name else "is missing"
+            said = f"{name!r} is not a file" if name else "is missing"
             raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/plc-robot.md)")
     require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
     return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
@@ -128,7 +128,7 @@ def _delivery(options: PlcRobotOptions, context: DeviceContext) -> Delivery:
             known_hosts = context.base_dir / Path(options.known_hosts).expanduser()
             if not known_hosts.is_file():
                 raise ConfigError(
-                    f"known_hosts {options.known_hosts!r} is no file; put the controller's host key there: ssh-keyscan"
+                    f"known_hosts {options.known_hosts!r} is not a file. Get the host key with ssh-keyscan."
                 )
             return Sftp(_place(options, context, 22), known_hosts)
         case _:
@@ -148,16 +148,16 @@ def _place(options: PlcRobotOptions, context: DeviceContext, port: int) -> Remot
 
 
 def _ads_address(address: str) -> tuple[str, str, int]:
-    """Host, net id and port of ``ads://host/1.2.3.4.1.1:851``."""
+    """Return host, net id and port of ``ads://host/1.2.3.4.1.1:851``."""
     found = _ADS.fullmatch(address)
     if found is None or not all(int(part) < 256 for part in found["netid"].split(".")):
-        raise ConfigError(f"address {address!r}: ads wants ads://host/NETID:PORT, as ads://plc/5.1.2.3.1.1:851")
+        raise ConfigError(f"address {address!r}: write ads://host/NETID:PORT, for example ads://plc/5.1.2.3.1.1:851")
     return found["host"], found["netid"], int(found["port"])
 
 
 def _require(extra: str, what: str) -> None:
     if importlib.util.find_spec(EXTRAS[extra]) is None:
-        raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed: pip install 'polishd[{extra}]'")
+        raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed. Run: pip install 'polishd[{extra}]'")
 
 
 DEVICE_TYPES = [

@@ -1,4 +1,4 @@
-"""The robot whose controller loads files, whatever its variables are called."""
+"""Driver of a robot whose controller loads files and has variables named in a profile."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from polishd.drivers.transport.background import PeriodicTimer
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
 from polishd.drivers.transport.program_tracker import STANDS, START_S, PollingConnection
 
-# A link through which the controller is looked at all the time: what it does is known, orders are taken back.
+# The polled link to the controller: reports its state, and resets commands.
 
 OPEN_S = 10.0
-"""A library is loaded, certificates are looked at."""
+"""Longest time to open: imports a library, checks certificates."""
 BEATS = 1 << 15
 
 OrderName = Literal["start", "reset", "load"]
 
 
 class PlcPoller(PollingConnection[Variables, ControllerReport]):
-    """A controller's variables, polled. Commands are taken back and heartbeats written between two readings."""
+    """Polled variables of a controller. Resets commands and writes heartbeats between two readings."""
 
     def __init__(
         self,
@@ -57,20 +57,20 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
         self._profile = profile
         self._look_s = profile.look_ms / 1e3
         self._began: tuple[float, float] | None = None
-        """The first reading: when by the controller's clock, and when by the daemon's."""
+        """Time of the first reading on the controller's clock, and on the daemon's."""
         self._looked_s = 0.0
         self._pulses: dict[OrderName, float] = {}
-        """Commands that are set, and since when."""
+        """Commands that are set, each with its time."""
         self._taken_back: dict[OrderName, int] = {}
-        """The reading at which a command was taken back."""
+        """Number of the reading at which a command was reset."""
         self._beaten_s = self._changed_s = 0.0
         self._beats = 0
 
     @property
     def pace(self) -> float:
-        """Seconds of the controller's clock in one of ours, since the first look: 1, but for a simulated controller.
+        """Rate of the controller's clock since the first reading: 1, except for a simulated controller.
 
-        Two looks in a row tell it badly: the controller may have renewed its clock twice in between, or not at all.
+        Two successive readings are not enough: the controller may update its clock twice between them, or not at all.
         """
         if self._began is None or len(self._recent) < STANDS:
             return 1.0
@@ -93,7 +93,7 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
         await link.close()
 
     def _stands(self, recent: Sequence[ControllerReport]) -> bool:
-        return all(report.stands for report in recent)
+        return all(report.stands_still for report in recent)
 
     async def _snapshots(self, link: Variables) -> AsyncIterator[ControllerReport]:
         timer = PeriodicTimer(self._look_s)
@@ -108,10 +108,10 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
             await timer.next()
 
     async def order(self, name: OrderName, still: Callable[[], bool] = lambda: True, *, release: bool = False) -> None:
-        """Give an order, if it is ``still`` wanted when its turn comes; ``release``: let hold go with it.
+        """Send a command, if it is ``still`` wanted in its turn; ``release``: reset hold with it.
 
-        The controller acts as the order comes up: one that stands yet is waited for, and one that a lost link may have
-        left standing is taken back first.
+        The controller acts on the rising edge: a command that is still set is waited for, and one that a lost link may
+        have left set is reset first.
         """
         if name not in self._pulses and name not in self._taken_back:
             await self._take_back(self.link, name)
@@ -126,36 +126,36 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
             await variables.write(values)
 
     def free(self, name: OrderName) -> bool:
-        """The last such order was taken back, and the controller has had the time to see it."""
+        """Whether the last such command was reset, and the controller has had the time to read it."""
         taken_back = self._taken_back.get(name)
         return name not in self._pulses and taken_back is not None and self.count >= taken_back + self.renewed
 
     async def write(self, name: str, value: Value) -> None:
-        """Write a variable, if the controller has it."""
+        """Write a variable if the controller has it."""
         if getattr(self._profile.variables, name) is not None:
             await self.link.write({name: value})
 
     async def hold(self) -> None:
-        """Hold; it stays so until the next order to run."""
+        """Set hold until the next command to run."""
         if self._profile.variables.hold is not None:
             await self.link.write({"hold": self._profile.variables.hold.on})
 
     @property
     def renewed(self) -> int:
-        """After so many looks the controller has renewed its variables for sure."""
+        """Number of readings after which the controller has certainly updated its variables."""
         profile = self._profile
         return 2 + int((profile.report_ms + profile.link_ms) / 1e3 / self._look_s)
 
     def _check_alive(self, report: ControllerReport) -> None:
-        """LinkError where the controller was restarted, or its heartbeat stopped."""
+        """Raise LinkError if the controller was restarted, or its heartbeat stopped."""
         now_s = time.monotonic()
         last = self._recent[-1] if self._recent else report
         if report.session != last.session:
-            raise LinkError(f"{self.name}: the controller was started anew (session {report.session})")
+            raise LinkError(f"{self.name}: the controller has restarted (session {report.session})")
         if report.beat is None or report.beat != last.beat:
             self._changed_s = now_s
         if now_s - self._changed_s > self._profile.silence_s:
-            raise LinkError(f"{self.name}: the controller's heartbeat stands still")
+            raise LinkError(f"{self.name}: the controller's heartbeat has stopped")
         self._began = self._began or (report.time_s, now_s)
         self._looked_s = now_s
 
@@ -181,13 +181,13 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
 
 
 FULL = 0.005
-"""How far the feed override may be off its full value, share."""
+"""Tolerance of the feed override's full value, share."""
 
 
 class PlcRobot(ProgramRobot[PlcProgramTracker]):
     """A Robot over its controller's variables. A lost link stays lost until ``open``; only ``make_safe`` connects.
 
-    Never switches it on and never moves it but by a program: the rest is for the operator.
+    It never switches the robot on and moves it only by a program: the operator does the rest.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         delivery: Delivery,
         controller_dir: str = "",
     ) -> None:
-        """``make`` gives a new, closed link; the controller finds the file under ``controller_dir`` and its name."""
+        """``make`` returns a new, closed link; ``controller_dir`` is the controller's path before the file name."""
         super().__init__(name, times_of(profile))
         self.longest_line = profile.program.longest_line
         self._profile = profile
@@ -207,20 +207,20 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         self._path = controller_dir + profile.program.file
         self._poller = self._make_poller()
         self._session = ""
-        """The controller's, when the program was loaded."""
+        """Session of the controller when the program was loaded."""
 
     @property
     def _connection(self) -> PlcPoller:
         return self._poller
 
     async def open(self) -> None:
-        """See Device. Orders nothing. What ran when the link was lost is followed further, if it still can be."""
+        """See Device. Sends no command. Continues to track a program that ran when the link was lost, if possible."""
         await self.close()
         self._stay()
         await self._poller.open()
         tracker, session = self._tracker, await self._current_session()
         if tracker is not None and tracker.file is not None and session != self._session and not tracker.ended:
-            tracker.drop("the controller was started anew")
+            tracker.drop("the controller has restarted")
 
     async def close(self) -> None:
         """See Device."""
@@ -232,7 +232,7 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         return replace(found, vendor=found.vendor or self._profile.name, boot_id=await self._current_session())
 
     async def status(self) -> DeviceStatus:
-        """See Device. Ready: nothing at the controller stands in the way. Safe: it stands, by its own word."""
+        """See Device. Ready: no obstacle at the controller. Safe: the controller reports standstill."""
         why = self._obstacle()
         state = "/".join(sorted(self._poller.last.states))
         return DeviceStatus(ready=not why, safe=self._poller.stands, state=state, detail=why)
@@ -249,7 +249,7 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
             await poller.close()
 
     async def hold(self) -> None:
-        """See Robot. Whether a dwell runs out meanwhile is the controller's affair: it stands."""
+        """See Robot. During a dwell the robot stands still; the dwell may continue."""
         self._poller.check()
         self._stay()
         if self._tracker is not None:
@@ -273,20 +273,20 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         if report.stopped_by:
             return report.stopped_by
         if abs(report.override - 1.0) > FULL:
-            return f"the feed override stands at {100 * report.override:.5g} %, and is to stand at 100 %"
+            return f"the feed override is {100 * report.override:.5g} %, it must be 100 %"
         return ""
 
     async def _clear(self) -> None:
-        """A reset also takes alarms back: what is left of them then is a reason to refuse."""
+        """Reset alarms; refuse if one remains."""
         await self._reset(self._poller)
         if why := self._obstacle():
-            raise DeviceRefused(f"{self._name}: {why}. To do: see to it at the controller, then try again")
+            raise DeviceRefused(f"{self._name}: {why}. Correct it at the controller, then try again.")
 
     def _track(self, plan: Plan, blocks: int) -> PlcProgramTracker:
         return PlcProgramTracker(plan, blocks)
 
     async def _load(self, plan: Plan, tracker: PlcProgramTracker) -> None:
-        """Hand the file over, have it loaded, and see that it is."""
+        """Deliver the file, command the controller to load it, and confirm that it is loaded."""
         poller, variables = self._poller, self._profile.variables
         report_s = self._profile.report_ms / 1e3 * max(poller.pace, 1e-3)
         seconds = dwells_s(report_s) if plan.approach_blocks else []
@@ -309,7 +309,7 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         self._session = await self._current_session()
 
     async def _loads(self, poller: PlcPoller) -> None:
-        """It has the file, and waits for its start."""
+        """Wait until the controller has loaded the file."""
         after = poller.count + poller.renewed
 
         def done() -> bool:
@@ -319,16 +319,16 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
 
         seen = await poller.until(done, self._profile.load_s)
         if not seen or "fault" in poller.last.states:
-            why = poller.last.alarm or ("no word that it is loaded" if not seen else "the controller is in fault")
-            raise DeviceRefused(f"{self._name}: the controller does not take the program: {why}")
+            why = poller.last.alarm or ("the controller is in fault" if seen else "it does not report it as loaded")
+            raise DeviceRefused(f"{self._name}: the controller refuses the program: {why}")
 
     async def _run(self, tracker: PlcProgramTracker, wanted: IsWanted) -> None:
-        del tracker  # one order starts it and lets it go on
+        del tracker  # one command starts and continues
         poller = self._poller
         await poller.order("start", lambda: wanted(poller.last.time_s), release=True)
 
     async def _seen(self, report: ControllerReport) -> None:
-        """What the controller does is booked; a stop that nobody asked for is passed."""
+        """Record the controller's state; continue from a stop that is not wanted."""
         if self._tracker is None:
             return
         self._tracker.update(report)
@@ -348,14 +348,14 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         await self._reset(poller)
 
     async def _current_session(self) -> str:
-        """What tells one run of the controller from another: its own variable, or what the link knows."""
+        """Return the identifier of the controller's run: its session variable, or the boot id of the link."""
         if self._profile.variables.session is not None:
             return self._poller.last.session
         return (await self._poller.link.identify()).boot_id
 
 
 def times_of(profile: ControllerProfile) -> RobotTimes:
-    """What such a controller takes."""
+    """Return the times of such a controller."""
     return RobotTimes(
         lifts=False,
         silence_s=profile.silence_s,

@@ -1,4 +1,4 @@
-"""How a file gets to the controller, whole: under another name first, then renamed. FTP and SFTP: ``remote.py``."""
+"""Atomic delivery of a file to the controller: written under another name, then renamed."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 
 class Delivery(Protocol):
-    """A place that the controller reads files from."""
+    """A folder that the controller reads files from."""
 
     async def put(self, name: str, text: bytes) -> None:
-        """The file is there, whole, or what was there before still is. DeviceRefused where it cannot be put there."""
+        """Deliver the whole file, or leave the folder unchanged. DeviceRefused if the file cannot be delivered."""
         ...
 
 
 class Folder:
-    """A folder that the controller can read: its own share, or one that it mounts."""
+    """A folder that the controller can read: its share, or one that it mounts."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -39,20 +39,20 @@ class Folder:
         try:
             await asyncio.to_thread(write_atomic, path, text)  # readable by all: the controller is another user
         except OSError as error:
-            raise DeviceRefused(f"{path}: {error.strerror or error}. To do: look at [robot] delivery") from error
+            raise DeviceRefused(f"{path}: {error.strerror or error}. Check [robot] delivery.") from error
 
 
-# Delivery over FTP and SFTP: another name first, its size compared, then renamed. Libraries are loaded when needed.
+# Delivery over FTP and SFTP: temporary name, size check, rename. Libraries are imported when needed.
 
 PUT_S = 120.0
-"""Longest that a file may take on its way."""
+"""Longest time of a delivery."""
 ANSWER_S = 10.0
 TEMPORARY = ".part"
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteFolder:
-    """A folder of a server."""
+    """A folder on a server."""
 
     host: str
     port: int
@@ -65,7 +65,7 @@ class RemoteFolder:
 
 
 class Ftp:
-    """A Delivery by FTP, in the clear: for a controller on a wire of its own."""
+    """A Delivery by FTP, unencrypted: for a controller on a separate network."""
 
     def __init__(self, place: RemoteFolder) -> None:
         self._place = place
@@ -86,10 +86,10 @@ class Ftp:
                 await stream.write(text)
             size = await _size(library, client, beside)
             if size != len(text):
-                raise OSError(f"{size} bytes of {len(text)} came")
+                raise OSError(f"{size} of {len(text)} bytes arrived")
             try:
                 await client.rename(beside, final)
-            except library.StatusCodeError:  # some servers rename to no name that is taken
+            except library.StatusCodeError:  # some servers refuse to rename to an existing name
                 await client.remove_file(final)
                 await client.rename(beside, final)
             await client.quit()
@@ -97,7 +97,7 @@ class Ftp:
 
 @asynccontextmanager
 async def _session(library: Any, place: RemoteFolder) -> AsyncIterator[aioftp.Client]:
-    """Logged in, and in the folder. Data connections are closed with it: the client forgets those that are refused."""
+    """Log in and change to the folder. Closes all data connections: the client leaks those that are refused."""
     client: aioftp.Client = library.Client(socket_timeout=ANSWER_S, connection_timeout=ANSWER_S)
     opened: list[asyncio.StreamWriter] = []
     connect = client.get_passive_connection
@@ -121,7 +121,7 @@ async def _session(library: Any, place: RemoteFolder) -> AsyncIterator[aioftp.Cl
 
 
 async def _size(library: Any, client: aioftp.Client, path: PurePosixPath) -> int:
-    """Of a file, in bytes. Old servers know SIZE but not MLST, and their listings are read by guessing."""
+    """Return the size of a file, bytes. Old servers support SIZE but not MLST, and their listings vary."""
     try:
         _, said = await client.command(f"SIZE {path}", "213")
     except library.StatusCodeError as error:
@@ -132,7 +132,7 @@ async def _size(library: Any, client: aioftp.Client, path: PurePosixPath) -> int
 
 
 class Sftp:
-    """A Delivery by SFTP. The host's key is in ``known_hosts``, or the host is refused."""
+    """A Delivery by SFTP. A host whose key is not in ``known_hosts`` is refused."""
 
     def __init__(self, place: RemoteFolder, known_hosts: Path) -> None:
         self._place = place
@@ -166,7 +166,7 @@ class Sftp:
                 await file.write(text)
             size = (await client.stat(beside)).size
             if size != len(text):
-                raise OSError(f"{size} bytes of {len(text)} came")
+                raise OSError(f"{size} of {len(text)} bytes arrived")
             try:
                 await client.posix_rename(beside, final)
             except library.SFTPOpUnsupported:
@@ -177,4 +177,4 @@ class Sftp:
 
 def _refused(kind: str, place: RemoteFolder, name: str, error: BaseException) -> DeviceRefused:
     reason = " ".join(str(error).split()) or type(error).__name__
-    return DeviceRefused(f"{kind}://{place}: {name} cannot be put there: {reason}. To do: look at [robot] delivery")
+    return DeviceRefused(f"{kind}://{place}: {name} cannot be delivered: {reason}. Check [robot] delivery.")

@@ -1,4 +1,4 @@
-"""Variables over Modbus TCP. The only file of this driver that knows pymodbus."""
+"""Variables over Modbus TCP. The only file of this driver that imports pymodbus."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from polishd.drivers.transport.background import cancellable
 from polishd.drivers.transport.claims import claim_address
 from polishd.util.address_claims import Claim
 
-# Where a controller's variables are in Modbus, and how they are packed there. Sans-IO.
+# Modbus addresses of a controller's variables, and their encoding. Sans-IO.
 
 Table = Literal["coil", "discrete", "holding", "input"]
 BITS: tuple[Table, ...] = ("coil", "discrete")
@@ -31,26 +31,26 @@ _FORMS: dict[Kind, str] = {
     "bool": ">H", "int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float": ">f", "double": ">d",
 }  # fmt: skip
 MOST = {"coil": 2000, "discrete": 2000, "holding": 125, "input": 125}
-"""What one request may read."""
+"""Most registers or bits of one read request."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModbusAddress:
-    """A variable's registers, or its bit."""
+    """Registers of a variable, or its bit."""
 
     table: Table
     address: int
     kind: Kind
     little: bool
-    """The word of least weight comes first."""
+    """Whether the least significant word is first."""
 
     @property
     def count(self) -> int:
-        """Registers, or bits."""
+        """Number of registers or bits."""
         return 1 if self.table in BITS else struct.calcsize(_FORMS[self.kind]) // 2
 
     def value(self, words: Sequence[int]) -> Value:
-        """What stands in its registers."""
+        """Return the value in these registers."""
         if self.table in BITS:
             return bool(words[0])
         ordered = reversed(words) if self.little else words
@@ -58,7 +58,7 @@ class ModbusAddress:
         return bool(found) if self.kind == "bool" else found
 
     def words(self, value: Value) -> list[int]:
-        """Its registers with that value."""
+        """Return the registers for a value."""
         if self.table in BITS:
             return [int(bool(value))]
         words = list(struct.unpack(f">{self.count}H", struct.pack(_FORMS[self.kind], value)))
@@ -66,21 +66,21 @@ class ModbusAddress:
 
 
 def place(name: str, variable: Variable, *, little: bool) -> ModbusAddress:
-    """Where a variable is. ConfigError where the profile's address is none, or its type has no place there."""
+    """Return a variable's address. ConfigError if the profile's address is invalid or does not fit its type."""
     table, _, number = variable.address.partition(":")
     if table not in MOST or not number.isdecimal() or int(number) > 65535:
         raise ConfigError(
             f"variables.{name}.address {variable.address!r}: write holding:40, input:7, coil:3 or discrete:0 (from 0)"
         )
     if variable.type == "string" or (table in BITS and variable.type != "bool"):
-        raise ConfigError(f"variables.{name}.type {variable.type!r}: has no place among the {table}s of Modbus")
+        raise ConfigError(f"variables.{name}.type {variable.type!r}: does not fit in {table}s of Modbus")
     return ModbusAddress(cast("Table", table), int(number), variable.type, little)
 
 
 def spans(places: Mapping[str, ModbusAddress]) -> dict[Table, tuple[int, int]]:
-    """(first, count) of each table that holds any of them: each is read in one request, so that it is of one moment.
+    """Return (first, count) of each table. Each table is read in one request, so that its values are consistent.
 
-    ConfigError where one request cannot.
+    ConfigError if one request is not enough.
     """
     found: dict[Table, tuple[int, int]] = {}
     for table in sorted({place.table for place in places.values()}):
@@ -89,8 +89,8 @@ def spans(places: Mapping[str, ModbusAddress]) -> dict[Table, tuple[int, int]]:
         count = max(place.address + place.count for place in own) - first
         if count > MOST[table]:
             raise ConfigError(
-                f"variables: {table}s {first} to {first + count - 1} are more than the {MOST[table]} of one request: "
-                "have the controller put them nearer together"
+                f"variables: {table}s {first} to {first + count - 1} exceed the limit of {MOST[table]} of one request. "
+                "Place them closer together in the controller."
             )
         found[table] = (first, count)
     return found
@@ -106,12 +106,12 @@ READS: tuple[type[ModbusPDU], ...] = (
 
 
 class Modbus:
-    """A Variables of one unit. A table is read in one request; orders are written one after the other."""
+    """Variables of one unit. A table is read in one request; values are written one after the other."""
 
     def __init__(
         self, address: Tcp, table: VariablesTable, silence_s: float, *, unit: int = 1, little: bool = False
     ) -> None:
-        """ConfigError where an address of the profile is none."""
+        """ConfigError for an invalid address in the profile."""
         self._name = f"{address} unit {unit}"
         self._address, self._unit, self._silence_s = address, unit, silence_s
         self._watched = {name: place(name, point, little=little) for name, point in watched(table).items()}
@@ -146,7 +146,7 @@ class Modbus:
         self._claimed.release()
 
     async def identify(self) -> DeviceIdentity:
-        """See Variables. Modbus tells nothing of that."""
+        """See Variables. Modbus reports no identity."""
         await self.read()
         return DeviceIdentity("", "Modbus", self._name, "unknown")
 
@@ -173,10 +173,10 @@ class Modbus:
                 answer = await self._answer(order, WRITE_REGISTERS, f"write {name}")
                 echoed = (answer.address, answer.count) == (one.address, len(words))
             else:
-                raise ProtocolError(f"{self._name}: variable {name} is a {one.table}, which nobody can write")
+                raise ProtocolError(f"{self._name}: variable {name} is a {one.table}, which is read-only")
             if not echoed:
                 raise ProtocolError(
-                    f"{self._name}: the write of {name} was answered by that of another: see the server"
+                    f"{self._name}: the write of {name} received the answer of another write. Check the server."
                 )
 
     def _places(self) -> list[tuple[str, ModbusAddress]]:
@@ -198,28 +198,26 @@ class Modbus:
         request = partial(read, first, count=count, device_id=self._unit)
         answer = await self._answer(request, function, f"read {table}s from {first}")
         words = [int(one) for one in (answer.bits if table in BITS else answer.registers)]
-        # bits come in whole bytes
+        # bits arrive in whole bytes
         if len(words) != (-(-count // 8) * 8 if table in BITS else count):
-            raise ProtocolError(f"{self._name}: {count} {table}s were asked for, {len(words)} came: see the server")
+            raise ProtocolError(f"{self._name}: {len(words)} of {count} {table}s received. Check the server.")
         return words[:count]
 
     async def _answer(self, request: Callable[[], Awaitable[ModbusPDU]], function: int, what: str) -> ModbusPDU:
-        """The answer. pymodbus takes one of any function, and one whose number is 0, which no request of its has.
+        """Return the checked answer: pymodbus accepts any function code, and the number 0, which no request has.
 
-        Where the link is gone it raises as it is asked, before there is anything to wait for.
+        If the link is lost, pymodbus raises at the call, before there is anything to await.
         """
         try:
             answer = await cancellable(request())
         except (ModbusException, OSError) as error:
             await self.close()
-            raise LinkError(f"{self._name}: answers no more: {error}") from error
+            raise LinkError(f"{self._name}: does not answer: {error}") from error
         if answer.isError():
-            raise ProtocolError(f"{self._name}: refuses to {what}: {answer}: look at the addresses in the profile")
+            raise ProtocolError(f"{self._name}: refuses to {what}: {answer}. Check the addresses in the profile.")
         if answer.function_code != function or not answer.transaction_id:
             said = f"function {answer.function_code}, number {answer.transaction_id}"
-            raise ProtocolError(
-                f"{self._name}: to {what} was answered by {said}, which is no answer to it: see the server"
-            )
+            raise ProtocolError(f"{self._name}: the request to {what} received the answer {said}. Check the server.")
         return answer
 
 
@@ -229,7 +227,7 @@ def _value(name: str, one: ModbusAddress, words: list[int], first: int) -> Value
 
 
 def _strict(response: type[ModbusPDU]) -> type[ModbusPDU]:
-    """An answer that is empty where its length is not what it says: pymodbus takes what is there."""
+    """Return an answer class that is empty if its length is wrong: pymodbus accepts a short answer."""
 
     class Strict(response):  # type: ignore[misc, valid-type]
         def decode(self, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Variables over OPC UA. The only file that knows asyncua, which is loaded when it is needed: that takes a second."""
+"""Variables over OPC UA. The only file that imports asyncua, and only when needed: that takes a second."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 OPC_UA_PORT = 4840
 CLOSE_S = 0.5
-"""A server that does not answer is not waited for."""
+"""Longest time to close the session with a server that does not answer."""
 SERVER_START, VENDOR, PRODUCT, VERSION = "i=2257", "i=2263", "i=2261", "i=2264"
-"""Nodes that every server has."""
+"""Standard nodes of every server."""
 APPLICATION = "urn:polishd"
-"""What our certificate says whose it is."""
+"""Application URI in our certificate."""
 _TYPES: dict[Kind, str] = {
     "bool": "Boolean",
     "int16": "Int16",
@@ -46,20 +46,20 @@ _TYPES: dict[Kind, str] = {
 
 @dataclass(frozen=True, slots=True)
 class OpcUaCertificates:
-    """Certificates, in PEM or DER: ours with its key, and the one that the server must have."""
+    """Certificates in PEM or DER: ours with its key, and the expected one of the server."""
 
     certificate: Path
     private_key: Path
     server_certificate: Path
 
     async def show(self, client: Client) -> None:
-        """The client signs and encrypts with them."""
+        """Set the client to sign and encrypt with them."""
         from asyncua import ua
         from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
         from asyncua.crypto.uacrypto import CertProperties
 
         def paper(path: Path) -> CertProperties:
-            """By what is in it: the library goes by the name."""
+            """Detect the format by the content: the library goes by the file name."""
             content = path.read_bytes()
             return CertProperties(content, "PEM" if b"-----BEGIN " in content else "DER")
 
@@ -74,7 +74,7 @@ class OpcUaCertificates:
 
 
 class OpcUa:
-    """A Variables over ``opc.tcp://host:port``. This computer times readings, half-way between asked and told."""
+    """Variables over ``opc.tcp://host:port``. This computer times a reading half-way between request and answer."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class OpcUa:
         *,
         papers: OpcUaCertificates | None = None,
     ) -> None:
-        """With ``papers`` all is signed and encrypted (Basic256Sha256), and no other server is spoken to."""
+        """With ``papers`` all is signed and encrypted (Basic256Sha256), and any other server is refused."""
         self._url = url
         self._papers = papers
         self._watched = watched(table)
@@ -101,7 +101,7 @@ class OpcUa:
         """See Variables."""
         await self.close()
         library = await asyncio.to_thread(importlib.import_module, "asyncua")
-        logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what goes wrong is raised here, and told once
+        logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # errors are raised here once
         where = urlsplit(self._url)
         self._claimed = await claim_address(Tcp(where.hostname or "", where.port or OPC_UA_PORT))
         client = library.Client(self._url, timeout=self._silence_s)
@@ -110,7 +110,7 @@ class OpcUa:
             client.set_password(self._account[1])
         self._client = client
         try:
-            secured = "" if self._papers is None else " with these certificates: does each trust the other's?"
+            secured = "" if self._papers is None else " with these certificates (check trust on both sides)"
             async with self._link(f"cannot be opened{secured}"):
                 if self._papers is not None:
                     await self._papers.show(client)
@@ -132,7 +132,7 @@ class OpcUa:
         self._claimed.release()
 
     async def identify(self) -> DeviceIdentity:
-        """See Variables. The server's start stands for the controller's."""
+        """See Variables. The server's start time identifies the controller's start."""
         vendor, product, version, start = await self._values([VENDOR, PRODUCT, VERSION, SERVER_START])
         return DeviceIdentity(str(vendor), str(product), self._url, str(version), str(start))
 
@@ -142,7 +142,7 @@ class OpcUa:
 
         names = list(self._watched)
         asked_s = time.monotonic()
-        async with self._link("answers no more"):
+        async with self._link("does not answer"):
             found = await self._session.uaclient.read_attributes(
                 [self._nodes[name] for name in names], ua.AttributeIds.Value
             )
@@ -162,7 +162,7 @@ class OpcUa:
         for name, value in values.items():
             kind = self._written[name].type
             typed.append(ua.DataValue(ua.Variant(of_kind(kind, value, name), ua.VariantType[_TYPES[kind]])))
-        async with self._link("answers no more"):
+        async with self._link("does not answer"):
             answers = await self._session.uaclient.write_attributes([self._nodes[name] for name in values], typed)
         for name, answer in zip(values, answers, strict=True):
             if not answer.is_good():
@@ -183,17 +183,17 @@ class OpcUa:
             if text.startswith("nsu="):
                 uri, _, rest = text.removeprefix("nsu=").partition(";")
                 if uri not in namespaces:
-                    raise ProtocolError(f"{self._url}: has no namespace {uri!r}, which variable {name} is in")
+                    raise ProtocolError(f"{self._url}: has no namespace {uri!r} of variable {name}")
                 text = f"ns={namespaces.index(uri)};{rest}"
             try:
                 self._nodes[name] = ua.NodeId.from_string(text)
             except ua.UaError as error:
-                raise ProtocolError(f"variable {name}: {point.address!r} is no node: {error}") from error
+                raise ProtocolError(f"variable {name}: {point.address!r} is not a node: {error}") from error
 
     async def _values(self, nodes: list[str]) -> list[object]:
         from asyncua import ua
 
-        async with self._link("answers no more"):
+        async with self._link("does not answer"):
             found = await self._session.uaclient.read_attributes(
                 [ua.NodeId.from_string(node) for node in nodes], ua.AttributeIds.Value
             )
@@ -201,7 +201,7 @@ class OpcUa:
 
     @asynccontextmanager
     async def _link(self, what: str) -> AsyncIterator[None]:
-        """What the client raises is told as LinkError."""
+        """Raise the client's errors as LinkError."""
         from asyncua import ua
 
         try:

@@ -1,8 +1,8 @@
-"""How far a controller is in its file, and when it did what, from reports far apart. Sans-IO: reports in, records out.
+"""Progress of a controller in its file from infrequent reports. Sans-IO: reports in, records of blocks out.
 
-A line that is new in a report began some time since the report before: 100 ms between reports leave 29 ms rms. Within
-that, a block is taken to have lasted as long as the plan expects of it, which what was executed has taught; where the
-controller tells when its block began, that is taken. Neither error adds up: each report bounds it anew.
+A line that is new in a report began some time since the previous report: 100 ms between reports leave 29 ms rms. Within
+that interval a block gets its planned time, corrected by the executed blocks. If the controller reports the start time
+of its block, that time is used. Errors do not accumulate: each report limits them again.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from polishd.config.controller_profile import (
 from polishd.drivers.plc_robot.variables import VariableSnapshot
 from polishd.drivers.transport.program_tracker import START_S, ProgramFile, ProgramTracker
 
-# The file that is handed over: the program's blocks, pauses where it is to stop, and dwells that prove the line.
+# The program file: blocks, pauses at the stops, and dwells that check the reported line.
 
 _N_WORD = re.compile(rb"\s*/?\s*N\s*(\d+)", re.IGNORECASE)
 
 
 class PlcProgramFile(ProgramFile):
-    """Before its first stop, out of contact, stand dwells of ``proof_s``: see ``proof.Proof``."""
+    """File with dwells of ``proof_s`` before its first stop, out of contact: see ``LineCheck``."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class PlcProgramFile(ProgramFile):
             table.end.encode(),
         )
         self.end = max(self.pauses.values()) if pause_at_end else None
-        """Blocks that are executed at the pause before the end; None without one."""
+        """Number of blocks executed at the pause before the end; None without a pause."""
         proved = self.stops[:1] == (first,)
         self.proof = _dwell_lines(self.inserted, len(dwells)) if proved else ()
         """1-based lines of the dwells."""
@@ -71,11 +71,11 @@ class PlcProgramFile(ProgramFile):
         self._numbers = _n_words(self.lines) if numbered else None
 
     def block_at(self, line: int) -> int:
-        """As any file; but the block before a dwell of ours is over when that is, for only then the tool may land."""
+        """See ProgramFile; the block before an added dwell ends with the dwell: only then the tool may land."""
         return super().block_at(line) - (line in self.proof)
 
     def line_of(self, shown: int) -> int:
-        """The 1-based line of the file that the controller means; 0 for none of it."""
+        """Return the 1-based line of the file for the controller's line; 0 for none."""
         if self._numbers is None:
             return min(max(shown + 1 - self._first, 0), len(self.lines))
         numbers, lines = self._numbers
@@ -88,13 +88,13 @@ def _dwell_lines(inserted: Sequence[int], count: int) -> tuple[int, ...]:
 
 
 def _numbered(lines: Sequence[bytes], before: Sequence[bytes]) -> list[bytes]:
-    """Lines of ours with N words of their own, which go on from the last one before."""
+    """Add N words to the driver's lines, continuing from the last N word before."""
     last = next((int(found[1]) for block in reversed(before) if (found := _N_WORD.match(block))), 0)
     return [b"N%d %s" % (last + k, line) for k, line in enumerate(lines, 1)]
 
 
 def _n_words(lines: Sequence[bytes]) -> tuple[list[int], list[int]]:
-    """The N words in the file, and the lines that they stand in. DeviceRefused where they do not rise."""
+    """Return the N words of the file, and their lines. DeviceRefused if they do not increase."""
     numbers: list[int] = []
     at: list[int] = []
     for number, text in enumerate(lines, 1):
@@ -103,47 +103,47 @@ def _n_words(lines: Sequence[bytes]) -> tuple[list[int], list[int]]:
         value = int(found[1])
         if numbers and value <= numbers[-1]:
             raise DeviceRefused(
-                f"line {number} of the file: N{value} after N{numbers[-1]}: the controller tells blocks by their N "
-                "words. To do: number the program in steps of 10"
+                f"line {number} of the file: N{value} after N{numbers[-1]}: the controller identifies blocks by their "
+                "N words. Number the program in steps of 10."
             )
         numbers.append(value)
         at.append(number)
     return numbers, at
 
 
-# Whether the line that a controller shows is the one that it executes: shown by dwells of known times. Sans-IO.
+# Check with dwells of known times that the reported line is the executed one. Sans-IO.
 
 REPORTS = (6.0, 12.0)
-"""A dwell lasts so many reports: long enough to be seen, whatever the reports miss."""
+"""Length of a dwell in reports: long enough to be seen even if reports are missed."""
 MORE_S = 1.0
-"""Wall seconds that a controller may take beyond a dwell."""
+"""Tolerance of a controller's dwell, wall seconds."""
 _CHANCE = random.SystemRandom()
 
 
 def dwells_s(report_s: float, count: int = 2) -> list[float]:
-    """Times for the dwells of one file, s."""
+    """Return the times of the dwells of one file, s."""
     return [round(report_s * _CHANCE.uniform(*REPORTS), 3) for _ in range(count)]
 
 
 class LineCheck:
-    """Follows the dwells of one file: told of each line with its time, it says what is wrong once they are over."""
+    """Check of the dwells of one file: it gets each reported line with its time, and returns the error."""
 
     def __init__(self, lines: Sequence[int], seconds: Sequence[float], more_s: float) -> None:
-        """``lines``: rising lines of the file; ``more_s``: by how much a dwell may be longer, controller's time."""
+        """``lines``: increasing lines of the file; ``more_s``: tolerance of a dwell, controller's time."""
         self._left = list(zip(lines, seconds, strict=False))
         self._more_s = more_s
         self._before_s: float | None = None
-        """When the last look was."""
+        """Time of the last report."""
         self._first: tuple[float, float] | None = None
-        """(before, at): between them the dwell under way was first shown."""
+        """(before, at): reports between which the present dwell began."""
 
     @property
     def over(self) -> bool:
-        """Nothing is left to be proved."""
+        """Whether the check is complete."""
         return not self._left
 
     def look(self, line: int, time_s: float) -> str:
-        """What the controller shows now; returns what is wrong with it, or nothing."""
+        """Process a reported line; return the error, or an empty text."""
         wrong = ""
         while self._left and not wrong and line >= self._left[0][0]:
             dwell, seconds = self._left[0]
@@ -164,36 +164,36 @@ class LineCheck:
         if longest_s >= seconds * 0.99 and least_s <= seconds + self._more_s:
             return ""
         return (
-            f"the line that it shows is not the block that it executes: a dwell of {seconds:.3f} s, line {dwell} of "
-            f"the file, was shown for {max(least_s, 0.0):.3f} to {longest_s:.3f} s"
+            f"the reported line is not the executed block: a dwell of {seconds:.3f} s, line {dwell} of "
+            f"the file, was reported for {max(least_s, 0.0):.3f} to {longest_s:.3f} s"
         )
 
 
-# What a reading of a controller's variables means, by its profile. Sans-IO.
+# Interpretation of a controller's variables by its profile. Sans-IO.
 
 MEANINGS = ("idle", "ready", "running", "paused", "held", "done", "ended", "fault")
 LEAST_OVERRIDE = 0.01
-"""Share of the programmed feed below which nothing moves any more."""
+"""Share of the programmed feed below which the robot stands still."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerReport:
-    """What the controller was doing when it was looked at."""
+    """State of the controller at one reading."""
 
     time_s: float
-    """On its own clock, or on what stands for it."""
+    """Time on the controller's clock, or on its substitute."""
     states: frozenset[str]
-    """What its state may mean: a value may stand for several."""
+    """Possible states: one value may mean several."""
     line: int
-    """As the profile's ``line`` counts."""
+    """Line, counted as in the profile's ``line``."""
     line_began_s: float | None = None
-    """When the block at that line began, where the controller tells, on the same clock."""
+    """Start time of the block at that line on the same clock, if the controller reports it."""
     state_began_s: float | None = None
-    """When it came to its state, likewise."""
+    """Start time of its state, likewise."""
     moving: bool | None = None
     feed_held: bool = False
     override: float = 1.0
-    """Share of the programmed feed."""
+    """Feed as a share of the programmed feed."""
     alarm: str = ""
     beat: Value | None = None
     session: str = ""
@@ -201,36 +201,36 @@ class ControllerReport:
 
     @property
     def running(self) -> bool:
-        """It executes its program."""
+        """Whether the controller executes its program."""
         return "running" in self.states
 
     @property
-    def stands(self) -> bool:
-        """Nothing moves, by all that it says."""
+    def stands_still(self) -> bool:
+        """Whether all values report standstill."""
         return not self.running and not self.moving
 
     @property
     def stopped_by(self) -> str:
-        """What somebody at the controller does that stands in the way of motion; empty where nothing does."""
+        """Action of an operator at the controller that prevents motion; empty if there is none."""
         if self.feed_held:
             return "the feed is held at the controller"
         if self.override < LEAST_OVERRIDE:
-            return f"the feed override stands at {100 * self.override:.5g} %"
+            return f"the feed override is {100 * self.override:.5g} %"
         return ""
 
 
 def report_of(table: VariablesTable, reading: VariableSnapshot) -> ControllerReport:
-    """Understand a reading. ProtocolError where a value cannot be what the profile says."""
+    """Interpret a reading. ProtocolError if a value contradicts the profile."""
     values = reading.values
     line = values["line"]
     if isinstance(line, bool | str | float):
-        raise ProtocolError(f"variable line: {line!r} is no line number: look at the controller's profile")
+        raise ProtocolError(f"variable line: {line!r} is not a line number. Check the controller's profile.")
     override = values.get("feed_override")
     time_s = _time_of(table.clock, values.get("clock"))
     return ControllerReport(
         time_s=reading.time_s if time_s is None else time_s,
         states=_states(table.state, values["state"]),
-        line=max(line, 0),  # some count what is no line at all below 0
+        line=max(line, 0),  # some controllers report no line as a negative number
         line_began_s=_line_began(table, reading),
         state_began_s=_time_of(table.state_began, values.get("state_began")),
         moving=_flag(table.in_motion, values.get("in_motion")),
@@ -273,20 +273,20 @@ def _alarm(values: Mapping[str, Value]) -> str:
 
 def _number(value: Value | None) -> float:
     if value is None or isinstance(value, str):
-        raise ProtocolError(f"{value!r} is no number: look at the types in the controller's profile")
+        raise ProtocolError(f"{value!r} is not a number. Check the types in the controller's profile.")
     return float(value)
 
 
 START_REPORTS = 10
-"""And for so many reports it may say that it does not run, after being told to."""
+"""Number of reports that may show standstill after the command to run."""
 SPREAD = 1e-3
 """Share of the time that is spread evenly, so that no block lasts no time at all."""
 
 
 class PlcProgramTracker(ProgramTracker):
-    """One program from its load to its end.
+    """Tracker of one program from its load to its end.
 
-    A line counts only if the controller was seen running before: what it shows as it starts may be of another program.
+    A line counts only after a report that the controller runs: at its start it may show the line of another program.
     """
 
     def __init__(self, plan: Plan, blocks: int) -> None:
@@ -294,33 +294,33 @@ class PlcProgramTracker(ProgramTracker):
         self.file: PlcProgramFile | None = None
         self.proof: LineCheck | None = None
         self.start_s = START_S
-        """So long after being told to run it may say that it does not, by its own clock."""
+        """Time on the controller's clock that may pass with standstill after the command to run."""
         self.stays = False
-        """It was told to stand: nobody wonders that it does."""
+        """Whether standstill was commanded, and is expected."""
         self._expected_s = np.zeros(blocks)
         timed = plan.program.block < blocks
         self._expected_s[plan.program.block[timed]] = plan.expected_time_s[timed]
         self._sure_s = 0.0
-        """When the block under way was last known to be so."""
+        """Last time at which the present block was certainly under way."""
         self._leeway_s = 0.0
-        """By how much later than ``began_s`` the first block of this stretch may have begun."""
+        """Longest delay after ``began_s`` of the start of this stretch's first block."""
         self._last: ControllerReport | None = None
         self._before: ControllerReport | None = None
-        """The report before it was told to run."""
+        """The last report before the command to run."""
         self._waits_s = 0.0
         self._waits = 0
-        """How long, and for how many reports, it was told to run and does not."""
+        """Time, and number of reports, of standstill after the command to run."""
 
     def go(self, time_s: float, detail: str = "") -> None:
-        """It runs, from that time of its own clock."""
+        """See ProgramTracker."""
         if self.held_at is not None or not len(self):
-            self.began_s = self._sure_s = self.clock_s  # it stood at the end of a block
+            self.began_s = self._sure_s = self.clock_s  # it stood still at the end of a block
         super().go(time_s, detail)
         self.stays, self.stopped = False, self.stopped if detail else ""
         self._before, self._waits_s, self._waits = self._last, 0.0, 0
 
     def update(self, report: ControllerReport) -> None:
-        """Take what the controller was doing just now."""
+        """Process a report of the controller."""
         before, self._last = self._last, report
         file = self.file
         if file is None or self.ended:
@@ -334,7 +334,7 @@ class PlcProgramTracker(ProgramTracker):
             return
         self.tick(report.time_s)
         if "fault" in report.states:
-            self._end("fault", report.alarm or "the controller is in a state that the profile calls none, or a fault")
+            self._end("fault", report.alarm or "the controller's state is unknown to the profile, or a fault")
         elif report.states & {"done", "ended", "idle", "ready"} and not report.states & {"paused", "held", "running"}:
             self._over(file, report)
         else:
@@ -342,7 +342,7 @@ class PlcProgramTracker(ProgramTracker):
             self._stand(file, report, before)
 
     def _starts(self, report: ControllerReport, before: ControllerReport | None) -> None:
-        """Seen running, or standing where it did not stand when it was told to run."""
+        """Detect the start: reported running, or standing at another line than at the command to run."""
         waited_s = 0.0 if before is None else report.time_s - before.time_s
         was = self._before
         elsewhere = was is not None and (report.line, report.states) != (was.line, was.states)
@@ -359,11 +359,11 @@ class PlcProgramTracker(ProgramTracker):
             self._held(report, "it does not start")
 
     def _begin(self, report: ControllerReport, waited_s: float) -> None:
-        """It began at some time since the last report: when, is settled with the end of its first block."""
-        told = (report.state_began_s, report.line_began_s if self._at_first(report) else None)
-        told_s = next((at for at in told if at is not None and self.seen_s <= at <= report.time_s), None)
-        if told_s is not None:
-            self.seen_s = told_s
+        """Record the start, some time since the last report. The end of the first block determines the time."""
+        starts_s = (report.state_began_s, report.line_began_s if self._at_first(report) else None)
+        start_s = next((at for at in starts_s if at is not None and self.seen_s <= at <= report.time_s), None)
+        if start_s is not None:
+            self.seen_s = start_s
         elif self.began_s == self.clock_s:
             self.seen_s, self._leeway_s = report.time_s - waited_s, waited_s
         else:
@@ -371,7 +371,7 @@ class PlcProgramTracker(ProgramTracker):
         self.tick(report.time_s)
 
     def _at_first(self, report: ControllerReport) -> bool:
-        """The block under way is the one that comes next."""
+        """Whether the present block is the next one to record."""
         return self.file is not None and self.file.block_at(self.file.line_of(report.line)) == len(self)
 
     def _follow(self, file: PlcProgramFile, report: ControllerReport) -> None:
@@ -384,7 +384,7 @@ class PlcProgramTracker(ProgramTracker):
             self._advance(file.block_at(line), began_s)
 
     def _stand(self, file: PlcProgramFile, report: ControllerReport, before: ControllerReport | None) -> None:
-        """Two reports in a row that it does not run: at a pause of the file, or elsewhere."""
+        """Handle two successive reports of standstill: at a pause of the file, or elsewhere."""
         if report.running and not report.stopped_by:
             return
         if report.stopped_by and not self.stays:
@@ -404,7 +404,7 @@ class PlcProgramTracker(ProgramTracker):
             self.stopped = self.detail
 
     def _over(self, file: PlcProgramFile, report: ControllerReport) -> None:
-        """It ended. By itself: where it says so, or where it stood at the pause before its end."""
+        """Handle the end of the program: regular if the controller reports it, or stood at the pause before the end."""
         stood = file.end is not None and len(self) >= file.end
         if "done" in report.states or ("ended" in report.states and stood):
             self._advance(self.blocks, None)
@@ -416,7 +416,7 @@ class PlcProgramTracker(ProgramTracker):
         self.state, self.detail = ("done", "") if state == "done" else ("fault", detail)
 
     def _advance(self, to: int, began_s: float | None) -> None:
-        """All blocks below ``to`` are executed by now; the one there began at ``began_s``, where that is known."""
+        """Record all blocks below ``to`` as executed; ``began_s``: start time of block ``to``, if known."""
         first = len(self)
         if began_s is not None and not self.began_s <= began_s <= self.clock_s:
             began_s = None
@@ -431,7 +431,7 @@ class PlcProgramTracker(ProgramTracker):
         self._sure_s = self.clock_s
 
     def _settle_begin(self, next_s: float | None, lasted_s: float) -> None:
-        """When the stretch began, where the reports leave that open: so long before the next block began, if known."""
+        """Determine the start of the stretch from the start of the next block, if known."""
         if next_s is not None:
             self.began_s = min(max(next_s - lasted_s, self.began_s), self.began_s + self._leeway_s)
         else:

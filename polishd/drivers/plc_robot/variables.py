@@ -1,4 +1,4 @@
-"""What all links to a controller's variables do: all that is watched in one reading, orders in one write."""
+"""Links to a controller's variables: one reading of all watched variables, one write of commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from polishd.drivers.plc_robot.file_delivery import Delivery
 from polishd.util.wire_recording import LinkTap, tap
 
 ORDERS = ("start", "hold", "reset", "load", "program", "heartbeat")
-"""What polishd writes; the other variables are watched."""
+"""Variables that polishd writes; the others are watched."""
 
 _WHOLE = {
     "int16": (-(1 << 15), 1 << 15),
@@ -25,24 +25,24 @@ _WHOLE = {
     "uint32": (0, 1 << 32),
 }
 _MOST = sys.float_info.max
-"""Beyond it are infinities, and no comparison holds of what is no number."""
+"""Largest finite value; comparisons with NaN are false."""
 
 
 @dataclass(frozen=True, slots=True)
 class VariableSnapshot:
-    """All that is watched, at one time."""
+    """All watched variables at one time."""
 
     time_s: float
-    """On the controller's clock, or what stands for it: it only has to run evenly."""
+    """Time on the controller's clock, or on a substitute that runs evenly."""
     values: Mapping[str, Value]
     changed_s: Mapping[str, float] = field(default_factory=dict)
-    """When a variable came to its value, where the link tells, on the same clock."""
+    """Time at which a variable got its value on the same clock, if the link reports it."""
 
 
 class Variables(Protocol):
-    """A link to a controller. Every request is answered in time, or raises LinkError and leaves the link dead.
+    """A link to a controller. A request without an answer in time raises LinkError and the link is dead.
 
-    ProtocolError where the controller has no such variable, or one of another type.
+    ProtocolError if the controller has no such variable, or one of another type.
     """
 
     async def open(self) -> None:
@@ -54,25 +54,25 @@ class Variables(Protocol):
         ...
 
     async def identify(self) -> DeviceIdentity:
-        """Who answers. ``boot_id`` where the link tells of it."""
+        """Return the identity, with ``boot_id`` if the link reports it."""
         ...
 
     async def read(self) -> VariableSnapshot:
-        """All that is watched."""
+        """Read all watched variables."""
         ...
 
     async def write(self, values: Mapping[str, Value]) -> None:
-        """These, in this order, in one request where the link can. Never repeated."""
+        """Write these values in this order, in one request if the link supports it. Never repeated."""
         ...
 
 
 def watched(table: VariablesTable) -> dict[str, Variable]:
-    """The variables that are read all the time."""
+    """Return the variables that are polled."""
     return {name: point for name, point in _named(table).items() if name not in ORDERS}
 
 
 def written(table: VariablesTable) -> dict[str, Variable]:
-    """The variables that are written."""
+    """Return the variables that are written."""
     return {name: point for name, point in _named(table).items() if name in ORDERS}
 
 
@@ -81,7 +81,7 @@ def _named(table: VariablesTable) -> dict[str, Variable]:
 
 
 def of_kind(kind: Kind, value: object, name: str) -> Value:
-    """A value as its kind says. ProtocolError where it is none."""
+    """Return a value of its kind. ProtocolError if it is of another kind."""
     if kind == "string":
         found: Value | None = value if isinstance(value, str) else None
     elif kind == "bool":
@@ -93,34 +93,33 @@ def of_kind(kind: Kind, value: object, name: str) -> Value:
         fits = isinstance(value, int | float) and low <= value < high
         found = int(value) if fits and isinstance(value, int | float) and float(value).is_integer() else None
     if found is None:
-        raise ProtocolError(f"variable {name}: {value!r} is no {kind}: look at its type in the controller's profile")
+        raise ProtocolError(f"variable {name}: {value!r} is not a {kind}. Check its type in the controller's profile.")
     return found
 
 
-# A controller's variables as they are read and written, and files as they are delivered, for whoever records the
-# cell.
+# Recording of variables that are read and written, and of files that are delivered.
 
 DELIVERED = "the file is there"
-"""How a delivery ends that was none in vain."""
+"""End of a successful delivery in the recording."""
 
 
 class RecordedDelivery:
-    """A Delivery that tells the tap of whoever opened the robot last."""
+    """A Delivery that records to the tap of the task that opened the robot last."""
 
     def __init__(self, inner: Delivery, link: str) -> None:
-        """``link``: its address, which is told without its user."""
+        """``link``: its address, recorded without its user."""
         self._inner, self._link = inner, re.sub(r"//[^/@]*@", "//", link)
         self._context: Context = copy_context()
 
     def opened(self) -> None:
-        """By this task: it says whose files these are."""
+        """Record files for this task's device from now on."""
         self._context = copy_context()
 
     async def put(self, name: str, text: bytes) -> None:
         """See Delivery."""
-        told = self._context.run(tap, self._link)
-        if told is not None:
-            told("out", values={"file": name, "bytes": len(text), "sha256": hashlib.sha256(text).hexdigest()})
+        record = self._context.run(tap, self._link)
+        if record is not None:
+            record("out", values={"file": name, "bytes": len(text), "sha256": hashlib.sha256(text).hexdigest()})
         why = "cut off"
         try:
             await self._inner.put(name, text)
@@ -129,15 +128,15 @@ class RecordedDelivery:
             why = str(error)
             raise
         finally:
-            if told is not None:
-                told("end", why=why)
+            if record is not None:
+                record("end", why=why)
 
 
 class Recorded:
-    """A Variables that tells its tap. Passwords go by another way: they are of the inner one's session."""
+    """Variables that record to a tap. Passwords are not recorded: the inner link's session sends them."""
 
     def __init__(self, inner: Variables, link: str, delivery: RecordedDelivery) -> None:
-        """``link``: its address. ``delivery``: that of the same robot."""
+        """``link``: its address. ``delivery``: delivery of the same robot."""
         self._inner, self._link, self._delivery = inner, link, delivery
         self._tap: LinkTap | None = None
 
@@ -148,14 +147,14 @@ class Recorded:
         try:
             await self._inner.open()
         except LinkError as error:
-            self._told(error)
+            self._record_loss(error)
             raise
 
     async def close(self) -> None:
         """See Variables."""
-        told, self._tap = self._tap, None
-        if told is not None:
-            told("end", why="the connection is closed")
+        record, self._tap = self._tap, None
+        if record is not None:
+            record("end", why="the connection is closed")
         await self._inner.close()
 
     async def identify(self) -> DeviceIdentity:
@@ -167,7 +166,7 @@ class Recorded:
         try:
             found = await self._inner.read()
         except LinkError as error:
-            self._told(error)
+            self._record_loss(error)
             raise
         if self._tap is not None:
             self._tap("in", values=found.values, clock_s=found.time_s, changed_s=found.changed_s)
@@ -180,11 +179,11 @@ class Recorded:
         try:
             await self._inner.write(values)
         except LinkError as error:
-            self._told(error)
+            self._record_loss(error)
             raise
 
-    def _told(self, error: LinkError) -> None:
-        """Once: a link that is dead stays so."""
-        told, self._tap = self._tap, None
-        if told is not None:
-            told("end", why=str(error))
+    def _record_loss(self, error: LinkError) -> None:
+        """Record the loss of the link once."""
+        record, self._tap = self._tap, None
+        if record is not None:
+            record("end", why=str(error))

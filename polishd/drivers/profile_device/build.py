@@ -1,4 +1,4 @@
-"""A closed device from a profile and an address."""
+"""Build a closed device from a profile and an address."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from polishd.drivers.transport.modbus_link import read_frame, write_frame
 
 
 def usual_line(profile: DeviceProfile) -> SerialLine:
-    """A serial line as the profile says, nowhere yet."""
+    """Return the profile's serial settings, without a path."""
     return SerialLine(Path(), profile.serial.baud, profile.serial.parity, profile.serial.stop_bits)
 
 
 def address_of(profile: DeviceProfile, text: str, base_dir: Path) -> SerialLine | Tcp:
-    """The address; what a serial one leaves out is as the profile says. ConfigError names it."""
+    """Parse the address; the profile supplies serial settings that it omits. ConfigError names the address."""
     return line_address(text, base_dir, f"a device on {profile.link}", usual_line(profile))
 
 
 def wire_of(
     profile: DeviceProfile, address: SerialLine | Tcp, silence_s: float, *, unit: int | None = None, pole_pairs: int = 1
 ) -> ProfileTransport:
-    """The wire; opens nothing."""
+    """Build the link; opens nothing."""
     if profile.modbus:
         return ModbusWire(profile, address, silence_s, unit=unit, pole_pairs=pole_pairs)
     return LineWire(profile, address, silence_s, pole_pairs=pole_pairs)
@@ -40,7 +40,7 @@ def wire_of(
 def actuator(
     profile: DeviceProfile, address: SerialLine | Tcp, times: ActuatorTimes | None = None, *, unit: int | None = None
 ) -> ProfiledActuator:
-    """A force actuator; opens nothing."""
+    """Build a force actuator; opens nothing."""
     times = times or ActuatorTimes()
     return ProfiledActuator(wire_of(profile, address, times.silence_s, unit=unit), times)
 
@@ -53,7 +53,7 @@ def spindle(
     unit: int | None = None,
     pole_pairs: int = 1,
 ) -> ProfiledSpindle:
-    """A spindle; opens nothing."""
+    """Build a spindle; opens nothing."""
     times = times or SpindleTimes()
     return ProfiledSpindle(wire_of(profile, address, times.silence_s, unit=unit, pole_pairs=pole_pairs), times)
 
@@ -61,12 +61,12 @@ def spindle(
 def force_sensor(
     profile: DeviceProfile, address: SerialLine | Tcp, times: SensorTimes | None = None, *, unit: int | None = None
 ) -> ProfiledForceSensor:
-    """A force sensor; opens nothing."""
+    """Build a force sensor; opens nothing."""
     times = times or SensorTimes()
     return ProfiledForceSensor(wire_of(profile, address, times.silence_s, unit=unit), times)
 
 
-# What a profile makes of a device: the requests as they go over the wire, and how raw values read. Opens nothing.
+# Effect of a profile: the requests on the link, and the meaning of raw values. Opens nothing.
 
 EXAMPLES = {"force": (12.0, "12 N"), "speed": (1000.0, "1000 rpm"), "time": (1000.0, "1 s")}
 ASKS = {"force": "force", "engage": "force", "forward": "speed", "reverse": "speed", "watchdog": "time"}
@@ -74,7 +74,7 @@ UNITS = {"force": "N", "set_point": "N", "position": "mm", "speed": "rpm"}
 
 
 def polls(profile: DeviceProfile) -> list[str]:
-    """The requests of one look at the device."""
+    """Requests of one poll of the device."""
     if profile.modbus is None:
         return [ask.send for ask in profile.asks.values() if set(ask.groups) & set(profile.polled)]
     found = codec.blocks(profile.registers, profile.polled, profile.modbus.max_registers)
@@ -82,7 +82,7 @@ def polls(profile: DeviceProfile) -> list[str]:
 
 
 def poll_s(profile: DeviceProfile) -> float:
-    """Seconds that one look takes on its serial line, requests and answers, without the device's own time."""
+    """Time of one poll on the serial line, s: requests and answers, without the device's response time."""
     byte_s = usual_line(profile).byte_s
     if profile.modbus is None:
         return byte_s * sum(len(ask) + 2 + 40 for ask in polls(profile))
@@ -92,7 +92,7 @@ def poll_s(profile: DeviceProfile) -> float:
 
 
 def orders(profile: DeviceProfile) -> Iterator[tuple[str, str]]:
-    """Each order, and what is sent for an example of what may be asked."""
+    """Each command, and the bytes that are sent for an example value."""
     for name in type(profile.commands).model_fields:
         steps = getattr(profile.commands, name)
         if steps and name in ORDERS[profile.kind]:
@@ -102,14 +102,14 @@ def orders(profile: DeviceProfile) -> Iterator[tuple[str, str]]:
 
 
 def scales(profile: DeviceProfile) -> Iterator[tuple[str, str]]:
-    """Each value that tells how it is, where it stands, and what one step of it is worth."""
+    """Each status value, its location, and the size of one step."""
     for name in profile.polled:
         quantity = profile.quantities[name]
         yield name, ", ".join(filter(None, [_place(profile, name), _worth(quantity), _sign(quantity)]))
 
 
 def read_raw(profile: DeviceProfile, name: str, text: str) -> Values:
-    """What a raw example reads: words of a register (``0x04AE``, or several), or the answer to an ask."""
+    """Decode a raw example: register words (``0x04AE``, or several), or the answer to a request."""
     try:
         if profile.modbus is not None:
             found = _of_words(profile, profile.modbus, name, text)
@@ -136,7 +136,7 @@ def _of_words(profile: DeviceProfile, table: ModbusTable, name: str, text: str) 
 
 
 def said(name: str, value: Value) -> str:
-    """A value with its unit."""
+    """Format a value with its unit."""
     return value if isinstance(value, str) else f"{value:.6g} {UNITS.get(name, '')}".strip()
 
 

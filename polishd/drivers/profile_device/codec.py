@@ -1,4 +1,4 @@
-"""Words of registers and numbers of answers to quantities, and back. Pure. Raises ProtocolError on what cannot be."""
+"""Convert register words and numbers in answers to quantities, and back. Pure. ProtocolError for impossible values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from polishd.model.devices import RegisterTable
 
 Values = dict[str, Value]
 LEAST_FLOAT = 1e-30
-"""Nothing that is measured is so small: a float whose words are exchanged often is."""
+"""Smaller than any measured value. A float with its two words exchanged is often smaller."""
 FORMATS = {"u16": ">H", "i16": ">h", "u32": ">I", "i32": ">i", "f32": ">f"}
 
 
@@ -40,9 +40,9 @@ class RegisterBlock:
 
 
 def blocks(registers: Mapping[str, Register], names: Sequence[str], most: int) -> tuple[RegisterBlock, ...]:
-    """As few requests as read all of them.
+    """Return the fewest requests that read all these registers.
 
-    Between them only what the profile knows is read, too: devices refuse addresses that they do not have.
+    A block spans only registers of the profile: devices refuse addresses that they do not have.
     """
     known = {(one.table, one.address + at) for one in registers.values() for at in range(one.size)}
     found: list[RegisterBlock] = []
@@ -60,7 +60,7 @@ def blocks(registers: Mapping[str, Register], names: Sequence[str], most: int) -
 
 
 def values_of(profile: DeviceProfile, block: RegisterBlock, words: Sequence[int], pole_pairs: int = 1) -> Values:
-    """What the words (or bits) of a block say, in N, mm, rpm or ms; see ``signed``."""
+    """Decode the words (or bits) of a block, in N, mm, rpm or ms; see ``signed``."""
     order, found = (profile.modbus or ModbusTable()).word_order, Values()
     for name in block.names:
         register = profile.registers[name]
@@ -70,7 +70,7 @@ def values_of(profile: DeviceProfile, block: RegisterBlock, words: Sequence[int]
 
 
 def fields_of(profile: DeviceProfile, ask: LineRequest, answer: str, pole_pairs: int = 1) -> Values:
-    """What an answer's line says, in N, mm, rpm or ms; see ``signed``."""
+    """Decode the line of an answer, in N, mm, rpm or ms; see ``signed``."""
     match = re.fullmatch(ask.answer, answer)
     if match is None:
         raise ProtocolError(f"{ask.send} was answered by {answer!r}, which is no such answer")
@@ -83,7 +83,7 @@ def fields_of(profile: DeviceProfile, ask: LineRequest, answer: str, pole_pairs:
 
 
 def unpack(register: Register, words: Sequence[int], order: WordOrder) -> Value:
-    """The raw value of a register's words (or its bit)."""
+    """Return the raw value of a register's words (or its bit)."""
     if register.type == "bit":
         return float(words[0])
     if register.type == "text":
@@ -97,7 +97,7 @@ def unpack(register: Register, words: Sequence[int], order: WordOrder) -> Value:
 
 
 def pack(register: Register, raw: float, order: WordOrder) -> list[int]:
-    """The words of a raw value; struct.error where it does not fit."""
+    """Return the words of a raw value; struct.error if it does not fit."""
     if register.type == "bit":
         return [int(raw != 0.0)]
     data = struct.pack(FORMATS[register.type], raw if register.type == "f32" else round(raw))
@@ -106,19 +106,19 @@ def pack(register: Register, raw: float, order: WordOrder) -> list[int]:
 
 
 def steps_of(quantity: Quantity, asked: float, pole_pairs: int) -> float:
-    """What is written for so many N, mm, rpm or ms."""
+    """Return the raw value to write for a value in N, mm, rpm or ms."""
     return (asked / factor(quantity.unit, pole_pairs) - quantity.offset) / quantity.scale
 
 
 def worth(quantity: Quantity, raw: Value, pole_pairs: int) -> Value:
-    """What was read, in N, mm, rpm or ms."""
+    """Convert a raw value that was read to N, mm, rpm or ms."""
     if isinstance(raw, str):
         return raw
     return (raw * quantity.scale + quantity.offset) * factor(quantity.unit, pole_pairs)
 
 
 def signed(profile: DeviceProfile, values: Values) -> Values:
-    """The values with the signs that others say they have, each judged by what can be true."""
+    """Return the values with the signs that other values give them, each checked against its possible range."""
     found = dict(values)
     for name, value in values.items():
         negative = profile.quantities[name].negative
@@ -132,7 +132,7 @@ def signed(profile: DeviceProfile, values: Values) -> Values:
 
 
 def words_for(register: Register, name: str, asked: float, order: WordOrder, pole_pairs: int) -> list[int]:
-    """What is written for so many N, mm, rpm or ms; DeviceRefused where the register cannot hold it."""
+    """Return the words to write for a value in N, mm, rpm or ms; DeviceRefused if the register cannot hold it."""
     raw = steps_of(register, asked, pole_pairs)
     try:
         return pack(register, raw, order)
@@ -160,11 +160,11 @@ def _raw(group: RegexGroup, request: str, text: str) -> Value:
     return value
 
 
-# What a device's values mean, by its profile. Pure. Raises ProtocolError on what the profile does not have.
+# Meaning of a device's values by its profile. Pure. ProtocolError for a value that the profile does not have.
 
 
 def state_of(profile: DeviceProfile, values: Values) -> str:
-    """The state, by the first rule that holds."""
+    """Return the state by the first rule that matches."""
     for rule in profile.states:
         if rule.holds(values[rule.when]):
             return rule.state
@@ -173,7 +173,7 @@ def state_of(profile: DeviceProfile, values: Values) -> str:
 
 
 def fault_of(profile: DeviceProfile, values: Values) -> int:
-    """Bits or code of the faults; 0: none."""
+    """Return the bits or the code of the faults; 0: none."""
     if profile.faults is None:
         return 0
     value = values[profile.faults.value]
@@ -183,16 +183,16 @@ def fault_of(profile: DeviceProfile, values: Values) -> int:
 
 
 def fault_words(profile: DeviceProfile, fault: int) -> str:
-    """The faults in words."""
+    """Describe the faults."""
     if profile.faults is None or not fault:
         return ""
     known = [text for bit, text in profile.faults.bits.items() if fault & int(bit)]
     known += [text for code, text in profile.faults.codes.items() if fault == int(code)]
-    return ", ".join(known) or f"fault {fault}, of which the profile does not say what it is"
+    return ", ".join(known) or f"fault {fault}, which the profile does not describe"
 
 
 def number(values: Values, name: str, default: float) -> float:
-    """A value that is a number; the default where the device does not give it."""
+    """Return a value that is a number; the default if the device does not report it."""
     value = values.get(name, default)
     if isinstance(value, str):
         raise ProtocolError(f"{name} reads {value!r} where a number stands; mend the profile")
@@ -200,7 +200,7 @@ def number(values: Values, name: str, default: float) -> float:
 
 
 def identity(profile: DeviceProfile, values: Values) -> DeviceIdentity:
-    """What the device says of itself, and for the rest what the profile does."""
+    """Return the identity that the device reports, completed from the profile."""
     said = {name: _plain(values[name]) for name in IDENTITY if name in values}
     boot = said.pop("boot", "")
     return DeviceIdentity(**{**dict(profile.identity), **said}, boot_id=boot)

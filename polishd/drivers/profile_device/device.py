@@ -1,4 +1,4 @@
-"""What devices by a profile share: open to close, how they are read, and how they are brought to rest."""
+"""Common base of profile devices: opening, closing, reading, and making safe."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from polishd.config.device_profile import DeviceProfile
 from polishd.drivers.profile_device.codec import Values, identity, state_of
 from polishd.drivers.transport.background import RequestQueue
 
-# What a profile's device is asked and told, whatever its link.
+# Requests and commands of a profile's device, independent of its link.
 
 
 class ProfileTransport(Protocol):
-    """One request and one answer at a time. A call raises LinkError or ProtocolError and is never repeated."""
+    """Link to a profile's device, one request at a time. A call raises LinkError or ProtocolError; none is repeated."""
 
     profile: DeviceProfile
 
     @property
     def connected(self) -> bool:
-        """False before ``connect``, and as soon as answers can no longer be trusted."""
+        """False before ``connect``, and once answers can no longer be trusted."""
         ...
 
     @property
@@ -32,7 +32,7 @@ class ProfileTransport(Protocol):
         ...
 
     async def connect(self) -> None:
-        """Open the wire; waits until a late answer to an earlier request can no longer come."""
+        """Open the link; waits until no late answer to an earlier request can arrive."""
         ...
 
     async def disconnect(self) -> None:
@@ -40,15 +40,15 @@ class ProfileTransport(Protocol):
         ...
 
     async def read(self, names: Sequence[str]) -> Values:
-        """These values, in N, mm, rpm or ms; others that came with them may be there, too."""
+        """Read these values, in N, mm, rpm or ms; the result may contain others of the same answers."""
         ...
 
     async def order(self, name: str, asked: float = 0.0) -> None:
-        """Write the steps of an order in turn; one that the profile does not have is no step."""
+        """Write the steps of a command in order; a command that the profile does not have has no steps."""
         ...
 
 
-# A device's wire between open and close: one request at a time, and when a lost link may be opened again.
+# A device's link between open and close: one request at a time, and the rule for reopening a lost link.
 
 T = TypeVar("T")
 
@@ -56,20 +56,20 @@ T = TypeVar("T")
 class RequestChannel:
     """Requests to a profile's device.
 
-    A lost link is opened again by the next request only while the device is known to be at rest. Else all requests
-    raise LinkError until ``open``; only urgent ones, which take it to rest, try to reach it again.
+    The next request reopens a lost link only while the device is known to be at rest. Otherwise all requests raise
+    LinkError until ``open``; only urgent ones, which bring the device to rest, reconnect.
     """
 
     def __init__(self, wire: ProfileTransport, watchdog_s: float | None, at_rest: str) -> None:
-        """``watchdog_s`` is told to the device after each opening; ``at_rest`` says what opens the link again."""
+        """``watchdog_s`` is written to the device after each opening; ``at_rest`` says how to reopen the link."""
         self.wire = wire
         self.exposed = False
-        """It may act: by the last reading, or by a command whose outcome is not known."""
+        """The device may act: by the last reading, or by a command with unknown outcome."""
         self._watchdog_s = watchdog_s
         self._at_rest = at_rest
         self._queue = RequestQueue(wire.name)
         self._lost = f"{wire.name}: the link was lost"
-        """How the link was lost last: whoever asks next is told that, too."""
+        """Reason of the last link loss, for the next request's error."""
 
     @property
     def running(self) -> bool:
@@ -77,12 +77,12 @@ class RequestChannel:
         return self._queue.running
 
     async def start(self) -> None:
-        """Serve requests; the wire is opened by the first of them."""
+        """Serve requests; the first one opens the link."""
         await self.close()
         await self._queue.start()
 
     async def open(self, first: Callable[[], Awaitable[object]]) -> None:
-        """Serve requests; the first of them shows that somebody answers."""
+        """Serve requests, and send ``first`` to check that the device answers."""
         await self.start()
         self.exposed = False
         try:
@@ -97,11 +97,11 @@ class RequestChannel:
         await self.wire.disconnect()
 
     async def identify(self) -> DeviceIdentity:
-        """Who is there."""
-        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.told)))
+        """Return the identity of the device that answers."""
+        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identity_values)))
 
     async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
-        """Run ``work`` when it is its turn, on an open wire."""
+        """Run ``work`` in its turn, on an open link."""
 
         async def connected() -> T:
             if not self.wire.connected:
@@ -119,7 +119,7 @@ class RequestChannel:
         return await self._queue.ask(connected, urgent=urgent)
 
     async def _greet(self) -> None:
-        """See that it is this device before anything is written to it; then tell it how long it may hear nothing."""
+        """Check that this is the expected device before any write; then write its watchdog time."""
         try:
             await self._recognise()
         except BaseException:
@@ -129,7 +129,7 @@ class RequestChannel:
             await self.wire.order("watchdog", round(1000 * self._watchdog_s))
 
     async def _recognise(self) -> None:
-        """ProtocolError where another device answers, by what is expected of it, or by a state that nobody knows."""
+        """Raise ProtocolError if another device answers: by its expected values, or by an unknown state."""
         profile = self.wire.profile
         try:
             values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
@@ -148,23 +148,23 @@ class RequestChannel:
 
 
 ANSWERS_S = 2.0
-"""Of ``make_safe``, beyond the action itself: a link that is lost over it is opened again once."""
+"""Time of ``make_safe`` beyond the action: a link that is lost meanwhile is opened again once."""
 
 R = TypeVar("R")
 
 
 class ProfiledDevice(ABC, Generic[R, T]):
-    """A device over a wire: R is what it says of itself, T are its times."""
+    """A device on a link: R is its reading, T are its times."""
 
     def __init__(self, wire: ProfileTransport, times: T, watchdog_s: float | None, at_rest: str) -> None:
-        """See Exchange for ``watchdog_s`` and ``at_rest``."""
+        """See RequestChannel for ``watchdog_s`` and ``at_rest``."""
         self._wire = wire
         self._times = times
         self._link = RequestChannel(wire, watchdog_s, at_rest)
 
     @abstractmethod
     def _reading(self, values: Values) -> R:
-        """What the values say; ProtocolError on what the profile does not have."""
+        """Return the reading; ProtocolError for values that the profile does not have."""
 
     @property
     def times(self) -> T:
@@ -172,7 +172,7 @@ class ProfiledDevice(ABC, Generic[R, T]):
         return self._times
 
     async def open(self) -> None:
-        """See Device. Also writes the watchdog time, where the profile has that."""
+        """See Device. Also writes the watchdog time, if the profile has one."""
         await self._link.open(self._read)
 
     async def close(self) -> None:
@@ -184,9 +184,9 @@ class ProfiledDevice(ABC, Generic[R, T]):
         return await self._link.identify()
 
     async def _rest(self, go: Callable[[], Awaitable[None]], within_s: float, what: str) -> None:
-        """Do what brings it to rest and proves it; a link lost over it is opened again once.
+        """Bring the device to rest and confirm it; a link that is lost meanwhile is opened again once.
 
-        ``what`` is what could not be confirmed, for the LinkError after ``within_s``.
+        ``what`` names the unconfirmed state in the LinkError after ``within_s``.
         """
         opened = self._link.running
         if not opened:
@@ -210,12 +210,12 @@ class ProfiledDevice(ABC, Generic[R, T]):
             raise ProtocolError(f"{self._wire.name}: {error}") from None
 
     async def _beat(self) -> R:
-        """Feed its watchdog, and read it."""
+        """Feed the device's watchdog, and read the device."""
         await self._wire.order("heartbeat")
         return await self._read()
 
     async def _clear(self, fault: int) -> None:
-        """Clear a fault that the profile says may be cleared; leave any other."""
+        """Clear a fault that the profile allows to clear; leave any other."""
         faults = self._wire.profile.faults
         if faults and fault and fault in faults.clears:
             await self._link.ask(lambda: self._wire.order("clear"), urgent=True)

@@ -1,4 +1,4 @@
-"""Devices by a profile: ``actuator_profile``, ``spindle_profile``, ``force_sensor_profile`` (docs/devices.md)."""
+"""Device types of profiles: ``actuator_profile``, ``spindle_profile``, ``force_sensor_profile`` (docs/devices.md)."""
 
 from __future__ import annotations
 
@@ -28,70 +28,70 @@ Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
 
 
 class ProfileOptions(ConfigSection):
-    """Keys of any section whose device is driven by a profile."""
+    """Keys of each section whose device uses a profile."""
 
     profile: str
-    """Name of a profile that polishd has (``polishd device list``), or the file of one of your own, ``NAME.toml``."""
+    """Name of a profile that polishd has (``polishd device list``), or your own profile file ``NAME.toml``."""
     address: str
-    """``serial:PATH?baud=9600&parity=even&stop_bits=1`` or ``tcp://host:port``; what it leaves out the profile says."""
+    """``serial:PATH?baud=9600&parity=even&stop_bits=1`` or ``tcp://host:port``; default settings: the profile's."""
     unit: Annotated[int, Field(ge=0, le=247)] | None = None
-    """Modbus unit number; left out: the profile's. [1]"""
+    """Modbus unit number; default: the profile's. [1]"""
 
 
 class ProfileActuatorOptions(ProfileOptions):
-    """Keys of ``[actuator]`` with ``type = "actuator_profile"``. Times that are left out are the profile's."""
+    """Keys of ``[actuator]`` with ``type = "actuator_profile"``. Omitted times are the profile's."""
 
     silence_s: Annotated[float, Field(ge=0.2, le=5.0)] = ActuatorTimes().silence_s
-    """No answer for so long: spindle off, and the robot takes the tool away."""
+    """Longest time without an answer; then the spindle is switched off and the robot lifts the tool."""
     watchdog_s: Annotated[float, Field(ge=0.1, le=60.0)] | None = None
-    """So long without a word the actuator takes the force off and lifts, by itself."""
+    """The actuator's watchdog: after this time without a request it takes the force off and lifts the tool."""
     landing_s: Seconds | None = None
-    """No contact after so long is a fault."""
+    """Longest time of landing; no contact by then is a fault."""
     release_s: Seconds | None = None
-    """Longest from the order to force off."""
+    """Longest time from the command to force off."""
     retract_s: Seconds | None = None
-    """Longest from force off until it tells that the tool is up. Motion goes on until then."""
+    """Longest time from force off until the actuator reports that the tool is up. Motion goes on until then."""
     stroke_mm: Annotated[float, Field(gt=0.0, le=500.0)] | None = None
-    """How far the tool can follow the part: a robot that lifts it off goes that far, and a margin."""
+    """Distance that the tool can follow the part: a robot that lifts the tool goes that far, and a margin."""
 
 
 class ProfileSpindleOptions(ProfileOptions):
-    """Keys of ``[spindle]`` with ``type = "spindle_profile"``. Times that are left out are the profile's."""
+    """Keys of ``[spindle]`` with ``type = "spindle_profile"``. Omitted times are the profile's."""
 
     pole_pairs: Annotated[int, Field(ge=1, le=24)] = 1
-    """Of the motor, for drives that count in Hz: 50 Hz are 3000 rpm with one, 1500 rpm with two. [1]"""
+    """Pole pairs of the motor, for drives that count in Hz: 50 Hz are 3000 rpm with one, 1500 rpm with two. [1]"""
     silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = SpindleTimes().silence_s
-    """No answer for so long: the link is lost."""
+    """Longest time without an answer; then the link is lost."""
     watchdog_s: Annotated[float, Field(ge=0.1, le=60.0)] | None = None
-    """The drive's own: so long without a word it stops. Words come every 100 ms."""
+    """The drive's watchdog: after this time without a request it stops. The driver sends requests every 100 ms."""
     spin_s: Seconds | None = None
-    """Longest from standstill to any speed, or back."""
+    """Longest time from standstill to any speed, or back."""
 
 
 class ForceSensorOptions(ProfileOptions):
-    """Keys of ``[force_sensor]`` with ``type = "force_sensor_profile"``. Times that are left out are the profile's."""
+    """Keys of ``[force_sensor]`` with ``type = "force_sensor_profile"``. Omitted times are the profile's."""
 
     silence_s: Annotated[float, Field(ge=0.15, le=5.0)] = SensorTimes().silence_s
-    """No new reading for so long: contact is left, as over a silent actuator."""
+    """Longest time without a new reading; then contact is left, as with a silent actuator."""
     delay_s: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
-    """Longest from a force that acts to its reading: the amplifier's filter, and the link."""
+    """Longest delay from a force to its reading: the amplifier's filter and the link."""
     tare_s: Annotated[float, Field(gt=0.0, le=60.0)] | None = None
-    """Longest from the order until what it read then is 0."""
+    """Longest time from the tare command until the sensor reads 0."""
 
 
 def _profile(options: ProfileOptions, context: DeviceContext, kind: Kind) -> DeviceProfile:
     profile = profile_of(options.profile, context.base_dir)
     if profile.kind != kind:
-        raise ConfigError(f"profile {options.profile!r} is of {A[profile.kind]}, not of {A[kind]}; name another")
+        raise ConfigError(f"profile {options.profile!r} is of {A[profile.kind]}, not of {A[kind]}. Name another.")
     if options.unit is not None and profile.link != "modbus":
         raise ConfigError(
-            f"unit {options.unit}: profile {options.profile!r} is of lines, which have no unit; remove it"
+            f"unit {options.unit}: profile {options.profile!r} uses lines, which have no unit number. Remove the key."
         )
     return profile
 
 
 def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, Any]:
-    """What the section says, else the profile."""
+    """Values of the section, completed from the profile."""
     given = {name: getattr(options, name) for name in names}
     return {name: getattr(table, name) if value is None else value for name, value in given.items()}
 

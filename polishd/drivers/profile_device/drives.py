@@ -1,4 +1,4 @@
-"""A force actuator by its profile: landing, heartbeat, retracting."""
+"""Profile drivers: force actuator, spindle and force sensor."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TOOL_OFF_REST = "the tool is off its rest: only retracting opens the link again"
 
 @dataclass(frozen=True, slots=True)
 class ActuatorReading:
-    """What the actuator says of itself; the set point is the last that was written where it does not say."""
+    """Reading of the actuator; the set point is the last written one if the actuator does not report it."""
 
     state: str
     force_n: float
@@ -44,7 +44,7 @@ class ActuatorReading:
 
 
 def reading_of(profile: DeviceProfile, values: Values, asked_n: float = 0.0) -> ActuatorReading:
-    """What the values say; ProtocolError on what the profile does not have."""
+    """Return the reading; ProtocolError for values that the profile does not have."""
     fault = codec.fault_of(profile, values)
     return ActuatorReading(
         state=codec.state_of(profile, values),
@@ -57,7 +57,7 @@ def reading_of(profile: DeviceProfile, values: Values, asked_n: float = 0.0) -> 
 
 
 class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
-    """A ForceActuator over a wire."""
+    """A ForceActuator on a link."""
 
     def __init__(self, wire: ProfileTransport, times: ActuatorTimes) -> None:
         table = wire.profile.actuator
@@ -75,7 +75,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
         return DeviceStatus(ready=ready, safe=reading.state == "retracted", state=reading.state, detail=reading.faults)
 
     async def set_force(self, force_n: float) -> None:
-        """See ForceActuator. Returns once the tool is in contact (feeding the watchdog meanwhile), or for 0 at once."""
+        """See ForceActuator. Return once the tool is in contact (feeding the watchdog meanwhile), or for 0 at once."""
         if not 0.0 <= force_n <= self._table.max_force_n:
             raise DeviceRefused(f"{self._wire.name}: force {force_n} N is outside 0 to {self._table.max_force_n:g} N")
         retracts = self._retracts
@@ -107,7 +107,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
             await pace.next()
 
     async def retract(self) -> None:
-        """See ForceActuator. Overtakes requests that wait; leaves the set point at 0."""
+        """See ForceActuator. Overtakes waiting requests; leaves the set point at 0."""
         self._retracts += 1
         await self._link.ask(self._let_go, urgent=True)
         deadline = time.monotonic() + self._times.lifted_s
@@ -121,7 +121,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
         await self._link.ask(lambda: self._wire.order("rest"), urgent=True)
 
     async def make_safe(self) -> None:
-        """See Device. Retracts, and reads back that it is so; a link lost over it is opened again once."""
+        """See Device. Retract and confirm it; a link that is lost meanwhile is opened again once."""
         await self._rest(self.retract, self._times.lifted_s, "the tool is retracted")
 
     def _require_sound(self, reading: ActuatorReading) -> None:
@@ -140,7 +140,7 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
             await asyncio.sleep(ACTUATOR_BEAT_S)
 
     async def _set_point(self, force_n: float) -> None:
-        # where no order engages, the set point alone lands it
+        # without an engage command, the set point alone lands the tool
         self._link.exposed = self._link.exposed or (force_n > 0.0 and not self._wire.profile.commands.engage)
         await self._wire.order("force", force_n)
         self._asked_n = force_n
@@ -159,20 +159,20 @@ class ProfiledActuator(ProfiledDevice[ActuatorReading, ActuatorTimes]):
         return reading
 
 
-# A spindle by its profile: an inverter, or whatever else turns.
+# Spindle by its profile, for example an inverter.
 
 SPINDLE_BEAT_S = 0.1
 """Period of samples, which feed the drive's watchdog."""
 TOLERANCE = 0.02
 ARRIVED = 0.015
-"""At which a speed counts as reached: the readings after it scatter, and are to stay within the tolerance."""
+"""Deviation at which a speed counts as reached: later readings scatter and must stay within the tolerance."""
 STANDS_RPM = 1.0
 SPINDLE_MAY_TURN = "the spindle may turn: only stopping opens the link again"
 
 
 @dataclass(frozen=True, slots=True)
 class SpindleReading:
-    """What the drive says of itself. Speed is signed where the profile says by what; forward is positive."""
+    """Reading of the drive. Speed is signed if the profile names the sign; forward is positive."""
 
     state: str
     rpm: float
@@ -182,16 +182,16 @@ class SpindleReading:
 
     @property
     def stands(self) -> bool:
-        """It does not turn, by state and by speed."""
+        """Standstill by state and by speed."""
         return self.state in {"stopped", "fault"} and abs(self.rpm) < STANDS_RPM
 
     def at(self, rpm: float, within: float = TOLERANCE) -> bool:
-        """At that speed."""
+        """Whether the speed is reached."""
         return self.state == "running" and abs(self.rpm - rpm) <= within * abs(rpm)
 
 
 class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
-    """A Spindle over a wire. Its drive is fed only while somebody iterates ``samples`` or waits in ``set_speed``."""
+    """A Spindle on a link. Its watchdog is fed only while ``samples`` is iterated or ``set_speed`` waits."""
 
     def __init__(self, wire: ProfileTransport, times: SpindleTimes) -> None:
         table = wire.profile.spindle
@@ -210,7 +210,7 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
         return DeviceStatus(ready=ready, safe=reading.stands, state=state, detail=reading.faults)
 
     async def make_safe(self) -> None:
-        """See Device. Stops, and sees that it stands; a link lost over it is opened again once."""
+        """See Device. Stop and confirm standstill; a link that is lost meanwhile is opened again once."""
         await self._rest(self._stop, self._times.spin_s, "the spindle stands")
 
     async def set_speed(self, rpm: float) -> None:
@@ -282,31 +282,31 @@ class ProfiledSpindle(ProfiledDevice[SpindleReading, SpindleTimes]):
         return reading
 
 
-# A force sensor by its profile: it only reads, and takes what it reads now for no force.
+# Force sensor by its profile: it reads forces and can be tared.
 
 
 @dataclass(frozen=True, slots=True)
 class ForceSensorReading:
-    """What the sensor says."""
+    """Reading of the force sensor."""
 
     force_n: float
     fault: int
     faults: str
     """In words."""
     count: float | None
-    """Of conversions; None where it has no such counter."""
+    """Number of the conversion; None if the sensor does not count them."""
     is_taring: bool
-    """The force means nothing yet."""
+    """The force is not valid yet."""
 
 
 class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
-    """A ForceSensor over a wire. A link that is lost while samples are taken stays so until that has ended."""
+    """A ForceSensor on a link. A link that is lost while samples are taken stays lost until sampling ends."""
 
     def __init__(self, wire: ProfileTransport, times: SensorTimes) -> None:
         table = wire.profile.force_sensor
         if table is None:
             raise ValueError(f"profile {wire.profile.name!r} is of no force sensor")
-        super().__init__(wire, times, None, "forces were being taken: what is missing is not made up for")
+        super().__init__(wire, times, None, "forces were being sampled: missing samples are not replaced")
         self._table: ForceSensorTable = table
 
     async def status(self) -> DeviceStatus:
@@ -316,7 +316,7 @@ class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
         return DeviceStatus(ready=not reading.fault, safe=True, state=state, detail=reading.faults)
 
     async def make_safe(self) -> None:
-        """See Device. It exerts nothing."""
+        """See Device. The sensor exerts no force."""
         if not self._link.running:
             await self.open()
             await self.close()
@@ -324,15 +324,15 @@ class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
             await self.status()
 
     async def tare(self) -> None:
-        """See ForceSensor. DeviceFault where it has a fault, or is not tared after ``times.tare_s``."""
+        """See ForceSensor. DeviceFault if it has a fault, or is not tared after ``times.tare_s``."""
         deadline = time.monotonic() + self._times.tare_s
         await self._link.ask(lambda: self._wire.order("tare"))
-        tells = any(rule.state == "taring" for rule in self._wire.profile.states)
+        reports_taring = any(rule.state == "taring" for rule in self._wire.profile.states)
         while True:
             reading = await self._link.ask(self._read)
             if reading.fault:
                 raise DeviceFault(f"{self._wire.name}: cannot be tared, fault {reading.fault} ({reading.faults})")
-            if not reading.is_taring and (tells or abs(reading.force_n) <= self._table.zero_n):
+            if not reading.is_taring and (reports_taring or abs(reading.force_n) <= self._table.zero_n):
                 return
             if time.monotonic() > deadline:
                 said = f"not tared after {self._times.tare_s:g} s, reads {reading.force_n:g} N"
@@ -340,7 +340,7 @@ class ProfiledForceSensor(ProfiledDevice[ForceSensorReading, SensorTimes]):
             await asyncio.sleep(self._table.period_s)
 
     async def samples(self) -> AsyncIterator[SensedForce]:
-        """See ForceSensor. Where the sensor counts its conversions, a repeated one is no new reading."""
+        """See ForceSensor. If the sensor counts its conversions, a repeated one is not a new reading."""
         pace, last = PeriodicTimer(self._table.period_s), -1.0
         self._link.exposed = True
         try:

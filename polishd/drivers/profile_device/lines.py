@@ -1,4 +1,4 @@
-"""A profile's requests and answers on lines of text."""
+"""Link of a profile's device on lines of text."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from polishd.drivers.transport.lines import NumberedLines
 from polishd.drivers.transport.modbus_link import UnnumberedLink
 from polishd.drivers.transport.streams import drop_stale
 
-# Lines without numbers: one request, one answer, and nothing that comes late is taken for the next one's.
+# Lines without numbers: one request, one answer. A late answer is never taken for the next request's.
 
 LONGEST = 512
-"""Bytes of an answer."""
+"""Longest answer, bytes."""
 
 
 class LineLink(UnnumberedLink):
-    """One request, one answer."""
+    """Link on lines: one request, one answer."""
 
     def __init__(self, address: SerialLine | Tcp, silence_s: float, ending: bytes, answer_ending: bytes) -> None:
-        """See UnnumberedLink; requests and answers end with theirs."""
+        """See UnnumberedLink; ``ending`` and ``answer_ending`` end requests and answers."""
         super().__init__(address, silence_s)
         self.name = str(address)
         """For messages."""
@@ -38,7 +38,7 @@ class LineLink(UnnumberedLink):
         self._rest = b""
 
     async def tell(self, request: str) -> None:
-        """Send what is not answered."""
+        """Send a request that has no answer."""
         if self._stream is None:
             raise LinkError(f"{self.name}: is not open")
         try:
@@ -48,7 +48,7 @@ class LineLink(UnnumberedLink):
             raise
 
     async def ask(self, request: str) -> str:
-        """The answer's line without its ending. LinkError where none comes in time."""
+        """Return the answer's line without its ending. LinkError if none arrives in time."""
         await self._drop_stale()
         await self.tell(request)
         deadline = time.monotonic() + self._silence_s
@@ -57,14 +57,14 @@ class LineLink(UnnumberedLink):
             line = await self._line(deadline)
         except LinkError as error:
             await self.disconnect()
-            if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
+            if time.monotonic() < deadline:  # the connection itself is lost
                 raise
             raise LinkError(f"{self.name}: {self._unanswered(request)}") from error
         self._due_until = 0.0
         return line.decode("latin-1")
 
     async def _drop_stale(self) -> None:
-        """What came before we ask is no answer."""
+        """Drop bytes that arrived before the request."""
         self._rest = b""
         if self._stream is not None:
             await drop_stale(self._stream)
@@ -84,20 +84,20 @@ class LineLink(UnnumberedLink):
         raise LinkError(f"{self.name}: is not open")
 
     def _unanswered(self, request: str) -> str:
-        """What silence, or what came instead of an answer, most likely is."""
+        """Most likely cause of a missing or garbled answer."""
         if not self._rest:
-            how = "way that requests end"
+            how = "line ending of requests"
             return f"no answer to {request!r} {silent(self._address, self._silence_s, how)}"
         return f"{request!r}: {garbled(self._address, self._rest, self._silence_s, 'lines.answer_ending')}"
 
 
 class LineWire:
-    """A Wire over lines of text."""
+    """A ProfileTransport over lines of text."""
 
     def __init__(
         self, profile: DeviceProfile, address: Tcp | SerialLine, silence_s: float, *, pole_pairs: int = 1
     ) -> None:
-        """An answer comes within ``silence_s``."""
+        """``silence_s`` is the longest time to wait for an answer."""
         self.profile = profile
         self._table = profile.lines or LinesTable()
         self._lines: LineLink | NumberedLines

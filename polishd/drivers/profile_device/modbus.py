@@ -1,4 +1,4 @@
-"""A profile's registers on a Modbus link."""
+"""Link of a profile's device on Modbus registers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from polishd.drivers.transport.modbus_link import ModbusLink
 
 
 class ModbusWire:
-    """A Wire over Modbus."""
+    """A ProfileTransport over Modbus."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class ModbusWire:
         unit: int | None = None,
         pole_pairs: int = 1,
     ) -> None:
-        """An answer comes within ``silence_s``."""
+        """``silence_s`` is the longest time to wait for an answer."""
         self.profile = profile
         self._table = profile.modbus or ModbusTable()
         refusals = {int(code): why for code, why in self._table.error_replies.items()}
@@ -51,7 +51,7 @@ class ModbusWire:
         await self._link.disconnect()
 
     async def read(self, names: Sequence[str]) -> Values:
-        """See Wire. The echo of our heartbeat tells a fresh answer from a stale one."""
+        """See ProfileTransport. The echo of our heartbeat distinguishes a fresh answer from a stale one."""
         words = {
             block: await self._link.read(block.table, block.address, block.count)
             for block in codec.blocks(self.profile.registers, names, self._table.max_registers)
@@ -66,7 +66,7 @@ class ModbusWire:
         echo = found.get("beat_echo")
         if self._counted and echo is not None and echo != self._count:
             await self.disconnect()
-            raise ProtocolError(f"{self.name}: heard heartbeat {echo} where {self._count} was written last")
+            raise ProtocolError(f"{self.name}: heartbeat echo {echo}, but {self._count} was written last")
         return found
 
     async def order(self, name: str, asked: float = 0.0) -> None:

@@ -1,1 +1,1 @@
-"""The robot link: the project's protocol to a robot controller, docs/protocols/robot_link.md."""
+"""Robot link: polishd's protocol to a robot controller, docs/protocols/robot_link.md."""

@@ -1,4 +1,4 @@
-"""One connection to the robot: reader, heartbeat, and answers matched to commands."""
+"""Connection to the robot: reader, heartbeat, and answers matched to commands."""
 
 from __future__ import annotations
 
@@ -38,34 +38,34 @@ from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Ready
 from polishd.drivers.transport.streams import open_stream
 
-# The state of one connection: bytes in, facts out. Sans-IO: no clock, no sockets, no tasks.
+# State of one connection. Sans-IO: no clock, no sockets, no tasks.
 
 MAX_BLOCKS = 256
-"""Blocks in one frame: small enough that one lost frame costs little."""
+"""Blocks in one frame: few, so that a lost frame costs little."""
 MAX_BYTES = 1 << 18
 
 
 @dataclass(slots=True)
 class Credit:
-    """Go-back-N: what the robot has, what it may be sent, what was sent."""
+    """Go-back-N window: blocks that the robot holds, that may be sent, that were sent."""
 
     accepted: int = 0
     limit: int = 0
     sent: int = 0
 
     def grant(self, accepted: int, limit: int) -> None:
-        """The robot holds all below ``accepted``; both only grow, so that an old word does no harm."""
+        """The robot holds all blocks below ``accepted``. Both values only grow: an old message has no effect."""
         self.accepted = max(self.accepted, accepted)
         self.limit = max(self.limit, limit)
         self.sent = max(self.sent, self.accepted)
 
     def go_back(self, seq: int = 0) -> None:
-        """Send again from there, but nothing that the robot holds already."""
+        """Send again from ``seq``, without blocks that the robot holds."""
         self.sent = max(self.accepted, min(self.sent, seq))
 
 
 class ExecutionRecord:
-    """Executed blocks from 0 on, without gaps, each once; 16 bytes a block. Outlives connections, not the program."""
+    """Executed blocks from 0 on without gaps, 16 bytes each. Kept across connections, for one program."""
 
     def __init__(self, program_sha256: str = "", boot_id: str = "") -> None:
         self.program_sha256 = program_sha256
@@ -80,11 +80,11 @@ class ExecutionRecord:
         return ExecutedBlock(seq, self._start_s[seq], self._end_s[seq])
 
     def extend(self, executed: Iterable[ExecutedBlock]) -> None:
-        """Add what is new. LinkError where records were lost: the robot gives them again after a reconnect."""
+        """Add new records. LinkError if records were lost: the robot sends them again after a reconnect."""
         for one in executed:
             if one.seq > len(self):
                 raise LinkError(
-                    f"robot: records of blocks {len(self)} to {one.seq - 1} were lost on the wire: reconnect"
+                    f"robot: records of blocks {len(self)} to {one.seq - 1} were lost on the link. Reconnect."
                 )
             if one.seq == len(self):
                 self._start_s.append(one.start_s)
@@ -92,7 +92,7 @@ class ExecutionRecord:
 
 
 class RobotLinkSession:
-    """What the robot has said on this connection."""
+    """State of the robot as received on this connection."""
 
     def __init__(self, record: ExecutionRecord | None) -> None:
         self._frames = FrameReader()
@@ -110,33 +110,33 @@ class RobotLinkSession:
         self.credit = Credit()
         self.record = ExecutionRecord() if record is None else record
         self.follows = record is not None
-        """Records of executed blocks are wanted."""
+        """Whether records of executed blocks are requested."""
         self.heard = 0
-        """Sound frames so far."""
+        """Valid frames so far."""
         self.answers: list[Ack | Nak] = []
-        """To be taken by the driver, in order."""
+        """Answers for the driver, in order."""
 
     @property
     def skipped(self) -> int:
-        """Bytes that belonged to no sound frame."""
+        """Bytes that belonged to no valid frame."""
         return self._frames.skipped
 
     @property
     def executed_from(self) -> int:
-        """What HELLO asks for."""
+        """First block whose record HELLO requests."""
         return len(self.record) if self.follows else 0xFFFF_FFFF
 
     def present(self) -> RobotLinkStatus:
-        """The last STATUS, with what ACCEPTED and EXECUTED have said since."""
+        """The last STATUS, updated by later ACCEPTED and EXECUTED frames."""
         if self.progress is None:
-            raise LinkError("the robot has said nothing yet")
+            raise LinkError("the robot has sent no status yet")
         if self.progress.program_sha256 != self.record.program_sha256:
             return self.progress
         accepted = max(self.progress.accepted, self.credit.accepted)
         return replace(self.progress, accepted=accepted, executed=max(self.progress.executed, len(self.record)))
 
     def receive(self, data: bytes) -> int:
-        """Take bytes; number of sound frames among them."""
+        """Process bytes; return the number of valid frames among them."""
         frames = self._frames.feed(data)
         self.heard += len(frames)
         for frame in frames:
@@ -144,7 +144,7 @@ class RobotLinkSession:
         return len(frames)
 
     def next_blocks(self, segments: Sequence[Segment]) -> bytes:
-        """A BLOCKS frame with those of the segments that are due now; empty when none is."""
+        """Return a BLOCKS frame with the segments that are due now; empty if none is."""
         first = segments[0].seq
         begin = self.credit.sent - first
         end = min(self.credit.limit - first, len(segments), begin + MAX_BLOCKS)
@@ -165,7 +165,7 @@ class RobotLinkSession:
         if frame.kind not in self._handlers or (
             self.welcome is None and frame.kind not in (FrameType.WELCOME, FrameType.NAK)
         ):
-            return  # of a later version, or of before we were welcome
+            return  # of a later version, or from before WELCOME
         self._handlers[frame.kind](frame.payload)
 
     def _welcome(self, payload: bytes) -> None:
@@ -198,28 +198,28 @@ class RobotLinkSession:
     def _progressed(self, progress: RobotLinkStatus) -> None:
         boot_id = self.welcome.identity.boot_id if self.welcome is not None else ""
         if progress.boot_id and progress.boot_id != boot_id:
-            raise LinkError(f"the robot was started anew (boot id {progress.boot_id}, not {boot_id})")
+            raise LinkError(f"the robot has restarted (boot id {progress.boot_id}, not {boot_id})")
         self.progress = replace(progress, boot_id=boot_id)
         if progress.program_sha256 == self.record.program_sha256:
             self.credit.grant(progress.accepted, 0)
-        else:  # dropped, or another in its place: who sends blocks of the old one, or follows it, hears of that
+        else:  # dropped or replaced: the sender and the followers of the old program get an error
             self.record, self.credit = ExecutionRecord(progress.program_sha256, boot_id), Credit()
 
 
 SILENCE_SHARE = 0.4
-"""Of the robot's own watchdog time: at most so long may it be silent, since it hears as little of us then."""
+"""Longest silence of the robot, as a share of its watchdog time: it then receives as little from us."""
 PING_S = 0.2
 CONNECT_S = 1.0
 ANSWER_S = 1.0
 RESEND_S = 0.5
-"""A robot takes blocks within its window at once; so long without is a lost frame."""
+"""A robot accepts blocks within its window at once; after this time without ACCEPTED a frame is lost."""
 RESENDS = 3
 
 Role = Literal["writer", "reader"]
 
 
 class RobotLinkConnection(Background):
-    """From HELLO to the end of the link; never opened again. Whoever waits hears of its end by LinkError."""
+    """Connection from HELLO to the end of the link; never reopened. Waiting calls get LinkError at its end."""
 
     def __init__(self, address: Tcp, role: Role, record: ExecutionRecord | None, times: RobotTimes) -> None:
         super().__init__(str(address))
@@ -233,19 +233,19 @@ class RobotLinkConnection(Background):
 
     @property
     def welcome(self) -> Welcome:
-        """What the robot said first."""
+        """Content of the robot's WELCOME."""
         if self.session.welcome is None:
             raise LinkError(f"{self._address}: is not open")
         return self.session.welcome
 
     @property
     def progress(self) -> RobotLinkStatus:
-        """The robot's last word; LinkError once the link is down."""
+        """Last status of the robot; LinkError once the link is down."""
         self.check()
         return self.session.present()
 
     async def open(self, client: str, lease: str = "") -> None:
-        """Connect and be welcomed; DeviceBusy where another writer has it, DeviceRefused: too short a watchdog."""
+        """Connect and wait for WELCOME. DeviceBusy: another client writes. DeviceRefused: the watchdog is short."""
         self._stream = await open_stream(self._address, CONNECT_S)
         try:
             hello = {
@@ -264,13 +264,13 @@ class RobotLinkConnection(Background):
             raise
 
     async def close(self) -> None:
-        """Hang up; idempotent."""
+        """Disconnect; idempotent."""
         await self.stop()
         if self._stream is not None:
             await self._stream.close()
 
     async def command(self, kind: FrameType, content: Mapping[str, Any], within_s: float = ANSWER_S) -> Ack:
-        """Send once and wait for its ACK; ``within_s`` comes on top of the silence that the link is allowed.
+        """Send once and wait for its ACK; ``within_s`` is added to the allowed silence of the link.
 
         DeviceRefused on NAK, LinkError without an answer.
         """
@@ -286,7 +286,7 @@ class RobotLinkConnection(Background):
                 waiting.remove(answer)
 
     async def deliver(self, segments: Sequence[Segment]) -> None:
-        """Send blocks as credit allows, again from where the robot asks, until it has accepted them all."""
+        """Send blocks as credit allows, again from the robot's RESEND, until the robot has accepted all."""
         credit, end = self.session.credit, segments[-1].seq + 1
         refusal: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
         self._pending[FrameType.BLOCKS] = deque([refusal])
@@ -307,7 +307,7 @@ class RobotLinkConnection(Background):
                 refusal.exception()
 
     async def _deliver_once(self, segments: Sequence[Segment], refusal: asyncio.Future[Ack]) -> bool:
-        """Send what is due, then wait until the robot says something to it. True where it must be sent again."""
+        """Send due blocks, then wait until the robot answers. Return True if they must be sent again."""
         credit = self.session.credit
         while frame := self.session.next_blocks(segments):
             await self._write(frame)
@@ -321,24 +321,24 @@ class RobotLinkConnection(Background):
         heard = await self.until(changed, RESEND_S if in_flight else None)
         if refusal.done():
             refusal.result()
-        if not heard and self.session.heard > before:  # else it may not have had them yet: the link stalls
+        if not heard and self.session.heard > before:  # otherwise the robot may not have them yet: the link stalls
             credit.go_back()
         return credit.sent < sent
 
     def _require_lease(self) -> None:
-        """A writer without one would be refused only when it gives its first order."""
+        """Check the lease now: without one the robot would refuse only the first command."""
         if self._role == "writer" and not self.welcome.lease:
             raise DeviceBusy(
-                f"{self._address}: the robot welcomes us without a lease: another client may write. Stop that client."
+                f"{self._address}: the robot granted no lease: another client may write. Stop that client."
             )
 
     def _require_watchdog(self) -> None:
-        """The daemon reckons with the time that the config says; who only watches and holds asks for nothing."""
+        """Check that the robot's watchdog has the time of the config; a reader needs no check."""
         has_s, needed_s = self.welcome.watchdog_s, self._times.watchdog_s
         if self._role == "writer" and has_s < needed_s:
             raise DeviceRefused(
-                f"{self._address}: the robot stops by itself after {has_s:g} s of silence, robot.watchdog_s says "
-                f"{needed_s:g}: set the controller's watchdog to that, or the key to what the controller has"
+                f"{self._address}: the robot's watchdog is {has_s:g} s, robot.watchdog_s is {needed_s:g} s. "
+                "Set both to the same time."
             )
 
     async def _write(self, data: bytes) -> None:
@@ -366,7 +366,7 @@ class RobotLinkConnection(Background):
             if self.session.receive(data):
                 heard = time.monotonic()
             elif time.monotonic() > heard + self._silence_s:
-                raise LinkError(f"{self._address}: nothing sound within {self._silence_s:g} s")
+                raise LinkError(f"{self._address}: no valid frame within {self._silence_s:g} s")
             self._match_answers()
             if self.session.welcome is not None:
                 self._silence_s = min(self._times.silence_s, SILENCE_SHARE * self.session.welcome.watchdog_s)

@@ -1,4 +1,4 @@
-"""The robot behind polishd's robot link."""
+"""Driver of a robot on polishd's robot link."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.program_robot import new_blocks
 
 HASHED = 4096
-"""Blocks that are hashed at once."""
+"""Blocks that are hashed in one step."""
 HOLD_ANSWER_S = 1.0
 REPORT_S = 0.1
-"""Greatest age of EXECUTED: 50 ms by the protocol, and as much for its way."""
+"""Greatest age of EXECUTED: 50 ms by the protocol, and 50 ms for transmission."""
 
 
 class RobotLink:
-    """A Robot over TCP. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself."""
+    """A Robot over TCP. A lost link stays lost until ``open``; only ``make_safe`` reconnects."""
 
     def __init__(
         self, address: Tcp, times: RobotTimes | None = None, *, client: str = "polishd", role: Role = "writer"
@@ -65,12 +65,12 @@ class RobotLink:
         return self._connection.progress.buffer_s
 
     async def open(self) -> None:
-        """See Device. DeviceBusy while another writer has the robot. Records missed meanwhile are asked for."""
+        """See Device. DeviceBusy while another writer has the robot. Requests the records that were missed."""
         await self.close()
         kept = self._record
         connection = await self._connect(kept)
         if not connection.session.follows:
-            # Another program runs there than the one we asked the rest of: ask again, from its beginning.
+            # The robot runs another program than the one of the record: request its records from the beginning.
             await connection.close()
             connection = await self._connect(ExecutionRecord())
         self._connection = connection
@@ -87,7 +87,7 @@ class RobotLink:
         return self._open_connection().welcome.identity
 
     async def status(self) -> DeviceStatus:
-        """See Device. Safe means that it stands still."""
+        """See Device. Safe means standstill."""
         progress = self._open_connection().progress
         return DeviceStatus(
             ready=progress.state != "fault",
@@ -97,7 +97,7 @@ class RobotLink:
         )
 
     async def make_safe(self) -> None:
-        """See Device. Holds; where the link is down it connects once, as a reader, to hold and to see that it holds."""
+        """See Device. Hold and confirm standstill; if the link is down, connect once as a reader for that."""
         if self._connection is not None and self._connection.alive:
             with contextlib.suppress(LinkError, ProtocolError):
                 return await self.hold()
@@ -110,7 +110,7 @@ class RobotLink:
 
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the robot runs."""
-        sha256, long = plan.program.sha256, len(plan.segments) > HASHED  # where it is short, a thread takes longer
+        sha256, long = plan.program.sha256, len(plan.segments) > HASHED  # for a short program a thread takes longer
         blocks_sha256 = await asyncio.to_thread(_hash_of, plan.segments) if long else _hash_of(plan.segments)
         load = {
             "program_sha256": sha256,
@@ -120,10 +120,10 @@ class RobotLink:
         }
         answer = await self._open_connection().command(FrameType.LOAD, load)
         if answer.progress.program_sha256 != sha256:
-            raise ProtocolError(f"{self._address}: was given {sha256}, holds {answer.progress.program_sha256!r}")
+            raise ProtocolError(f"{self._address}: received program {sha256}, holds {answer.progress.program_sha256!r}")
 
     async def send(self, segments: Sequence[Segment]) -> None:
-        """See Robot. What the robot holds already is left out."""
+        """See Robot. Sends only blocks that the robot does not hold."""
         async with self._sending:
             connection = self._open_connection()
             new = new_blocks(segments, connection.session.credit.accepted, LONGEST_LINE, str(self._address))
@@ -136,7 +136,7 @@ class RobotLink:
         return self._open_connection().progress
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
-        """See Robot. DeviceFault when the robot reports a fault."""
+        """See Robot. DeviceFault if the robot reports a fault."""
         connection = self._open_connection()
         record, seq = connection.session.record, from_seq
         while True:
@@ -152,16 +152,16 @@ class RobotLink:
         await _hold(self._open_connection(), self._times.stop_s)
 
     async def lift(self, distance_mm: float) -> None:
-        """See Robot. DeviceRefused where another has the lease."""
+        """See Robot. DeviceRefused if another client has the lease."""
         await self._open_connection().command(FrameType.LIFT, {"distance_mm": distance_mm}, self._times.stop_s)
 
     async def resume(self, until: int | None = None) -> None:
-        """See Robot. Returns when the robot has taken the command; DeviceRefused where it was stopped meanwhile."""
+        """See Robot. Return when the robot has accepted the command; DeviceRefused if it was stopped meanwhile."""
         connection = self._open_connection()
         await connection.command(FrameType.RESUME, {"until": until, "stops": connection.progress.stops})
 
     async def abort(self) -> None:
-        """Hold, then make the robot forget its program."""
+        """Hold, then drop the robot's program."""
         await self._open_connection().command(FrameType.ABORT, {}, self._times.stop_s)
 
     def _open_connection(self) -> RobotLinkConnection:
@@ -177,21 +177,21 @@ class RobotLink:
 
 
 async def _hold(connection: RobotLinkConnection, stop_s: float) -> None:
-    """Hold and see that the robot stands still; its STATUS will do where the ACK gets lost."""
+    """Hold and confirm standstill; STATUS is enough if the ACK is lost."""
     with contextlib.suppress(LinkError):
         await connection.command(FrameType.HOLD, {}, HOLD_ANSWER_S)
     if not await connection.until(lambda: connection.progress.state != "running", stop_s):
-        raise DeviceFault("the robot goes on running after HOLD")
+        raise DeviceFault("the robot still runs after HOLD")
 
 
 def _news(connection: RobotLinkConnection, record: ExecutionRecord) -> Callable[[], bool]:
-    """Tells whether the robot has said anything new since now."""
+    """Return a condition: the robot has sent a new message since this call."""
     count, progress = len(record), connection.session.progress
     return lambda: len(record) > count or connection.session.progress != progress
 
 
 def _ended(connection: RobotLinkConnection, record: ExecutionRecord) -> bool:
-    """Nothing more will be executed of what the record is of."""
+    """Whether no more blocks of the record's program will be executed."""
     progress = connection.progress
     if connection.session.record is not record or progress.program_sha256 != record.program_sha256:
         return True
@@ -205,7 +205,7 @@ def _ended(connection: RobotLinkConnection, record: ExecutionRecord) -> bool:
 
 
 def _hash_of(segments: Sequence[Segment]) -> str:
-    """sha256 of all blocks, each with a line feed. Grows with the program: call it in a thread where that is long."""
+    """Return the sha256 of all blocks, each with a line feed. Call it in a thread for a long program."""
     found = hashlib.sha256()
     for first in range(0, len(segments), HASHED):
         found.update(b"".join(segment.text + b"\n" for segment in segments[first : first + HASHED]))
@@ -221,13 +221,13 @@ class RobotLinkOptions(ConfigSection):
     """Keys of ``[robot]`` with ``type = "robot_link"``."""
 
     address: str
-    """Where the controller listens: ``tcp://host:port``."""
+    """Address of the controller: ``tcp://host:port``."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = _TIMES.watchdog_s
-    """The controller's own: so long without a word from us it stops. A shorter one of the controller is refused."""
+    """The controller's watchdog: after this time without a message it stops. A shorter one is refused."""
     silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = _TIMES.silence_s
-    """No word from it for so long: the link is lost, and contact is left. It speaks every 50 ms."""
+    """Longest time without a message; then the link is lost and contact is left. The robot sends every 50 ms."""
     stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = _TIMES.stop_s
-    """Longest that it takes to stop, or to lift the tool off."""
+    """Longest time to stop, or to lift the tool off."""
 
 
 def _build(options: RobotLinkOptions, context: DeviceContext) -> RobotLink:

@@ -1,4 +1,4 @@
-"""Frames on the wire: magic, type, length, payload, CRC. Sans-IO; a broken frame is skipped and never acted on."""
+"""Frames of the robot link: magic, type, length, payload, CRC. Sans-IO; broken frames are skipped."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _OVERHEAD = _HEADER.size + _CRC.size
 
 
 class FrameType(IntEnum):
-    """Frame types: below 0x80 to the robot, from 0x80 on from it."""
+    """Frame types: below 0x80 to the robot, from 0x80 on from the robot."""
 
     HELLO = 0x01
     LOAD = 0x02
@@ -44,33 +44,33 @@ class FrameType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame whose CRC was right. Its type may be one that we do not know."""
+    """A frame with a correct CRC. Its type may be unknown."""
 
     kind: int
     payload: bytes
 
 
 def header_check(kind: int, length: int) -> int:
-    """A header's check: with a wrong length a receiver would wait for what never comes."""
+    """Return the checksum of a header: with a wrong length a receiver would wait for missing bytes."""
     return crc32(_CHECKED.pack(kind, length)) & 0xFF
 
 
 def encode(kind: FrameType, payload: bytes = b"{}") -> bytes:
-    """A frame's bytes."""
+    """Return the bytes of a frame."""
     body = _HEADER.pack(MAGIC, kind, header_check(kind, len(payload)), len(payload)) + payload
     return body + _CRC.pack(crc32(body))
 
 
 class FrameReader:
-    """Cuts a byte stream into frames, however it is dribbled; after nonsense it looks for the next magic."""
+    """Split a byte stream into frames; after invalid bytes continue at the next magic."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
         self.skipped = 0
-        """Bytes that belonged to no sound frame."""
+        """Bytes that belonged to no valid frame."""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Frames that are complete now."""
+        """Add bytes; return the frames that are complete now."""
         self._bytes += data
         frames, at = [], 0
         while (start := self._bytes.find(MAGIC, at)) >= 0:
@@ -95,7 +95,7 @@ class FrameReader:
         return frames
 
     def _frame(self, start: int) -> Frame | None:
-        """The frame that begins there; None while it is incomplete, ValueError where it is broken."""
+        """Return the frame at ``start``; None while it is incomplete, ValueError if it is broken."""
         if len(self._bytes) - start < _HEADER.size:
             return None
         _, kind, check, length = _HEADER.unpack_from(self._bytes, start)
@@ -110,15 +110,15 @@ class FrameReader:
         return Frame(kind, body[_HEADER.size :])
 
 
-# What the payloads mean. Raises ProtocolError on a sound frame whose content is not the protocol's.
+# Content of the payloads. ProtocolError for a valid frame whose content is not the protocol's.
 
 PROTOCOL = 1
 LONGEST_LINE = 0xFFFF
 
 LONGEST_S = 1e9
-"""Nothing takes 30 years."""
+"""Longest possible time: 30 years."""
 MOST_OVERRIDE = 10.0
-"""No controller runs a program ten times as fast as it is written."""
+"""Largest possible override: ten times the programmed speed."""
 _BLOCKS = struct.Struct(">IH")
 _LENGTH = struct.Struct(">H")
 _ACCEPTED = struct.Struct(">IId")
@@ -128,27 +128,27 @@ _SEQ = struct.Struct(">I")
 
 @dataclass(frozen=True, slots=True)
 class RobotLinkStatus(RobotProgress):
-    """The robot's word on itself, with what only this link has."""
+    """Progress of the robot, with the fields that only this link has."""
 
     stops: int = 0
-    """HOLD, ABORT and watchdog, counted by the robot; RESUME names the last that its sender knows of."""
+    """Number of stops (HOLD, ABORT, watchdog) counted by the robot; RESUME names the last one that its sender knows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Welcome:
-    """Who the robot is, and how it stands."""
+    """Identity and state of the robot."""
 
     identity: DeviceIdentity
     watchdog_s: float
     window: int
     lease: str
-    """Names the right to write; brings it back on the next connection. Empty for readers."""
+    """Identifier of the write lease, to regain it on the next connection. Empty for readers."""
     progress: RobotLinkStatus
 
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """The robot did as asked."""
+    """The robot executed the command."""
 
     of: int
     progress: RobotLinkStatus
@@ -156,7 +156,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Nak:
-    """The robot refused."""
+    """The robot refused the command."""
 
     of: int
     code: str
@@ -164,12 +164,12 @@ class Nak:
 
 
 def command(kind: FrameType, content: Mapping[str, Any]) -> bytes:
-    """A frame with a JSON payload."""
+    """Return a frame with a JSON payload."""
     return encode(kind, json.dumps(content, separators=(",", ":")).encode())
 
 
 def blocks(first_seq: int, lines: Sequence[bytes]) -> bytes:
-    """A BLOCKS frame."""
+    """Return a BLOCKS frame."""
     parts = [_BLOCKS.pack(first_seq, len(lines))]
     for line in lines:
         parts += _LENGTH.pack(len(line)), line
@@ -177,7 +177,7 @@ def blocks(first_seq: int, lines: Sequence[bytes]) -> bytes:
 
 
 def welcome(payload: bytes) -> Welcome:
-    """Content of WELCOME."""
+    """Parse WELCOME."""
     content = _object(payload)
     if content.get("protocol") != PROTOCOL:
         raise ProtocolError(f"the robot speaks protocol {content.get('protocol')!r}, not {PROTOCOL}")
@@ -190,24 +190,24 @@ def welcome(payload: bytes) -> Welcome:
 
 
 def ack(payload: bytes) -> Ack:
-    """Content of ACK."""
+    """Parse ACK."""
     content = _object(payload)
     return Ack(_of(content), _progress(content.get("status")))
 
 
 def nak(payload: bytes) -> Nak:
-    """Content of NAK."""
+    """Parse NAK."""
     content = _object(payload)
     return Nak(_of(content), _text(content, "code"), _text(content, "text"))
 
 
 def status(payload: bytes) -> RobotLinkStatus:
-    """Content of STATUS."""
+    """Parse STATUS."""
     return _progress(_object(payload))
 
 
 def accepted(payload: bytes) -> tuple[int, int, float]:
-    """Content of ACCEPTED: next sequence number, credit, seconds of motion held."""
+    """Parse ACCEPTED: next sequence number, credit, seconds of motion that the robot buffers."""
     next_seq, credit, buffer_s = _unpack(_ACCEPTED, payload)
     if not _is_time(buffer_s):
         raise ProtocolError(f"ACCEPTED with buffer_s {buffer_s!r}")
@@ -215,9 +215,9 @@ def accepted(payload: bytes) -> tuple[int, int, float]:
 
 
 def executed(payload: bytes) -> list[ExecutedBlock]:
-    """Content of EXECUTED."""
+    """Parse EXECUTED."""
     if len(payload) < _LENGTH.size or len(payload) != _LENGTH.size + _LENGTH.unpack_from(payload)[0] * _RECORD.size:
-        raise ProtocolError(f"EXECUTED of {len(payload)} bytes does not hold what it counts")
+        raise ProtocolError(f"EXECUTED of {len(payload)} bytes does not match its count")
     records = [ExecutedBlock(*record) for record in _RECORD.iter_unpack(payload[_LENGTH.size :])]
     for one in records:
         if not (math.isfinite(one.start_s) and one.start_s <= one.end_s < math.inf):
@@ -226,7 +226,7 @@ def executed(payload: bytes) -> list[ExecutedBlock]:
 
 
 def resend(payload: bytes) -> int:
-    """Content of RESEND: the sequence number to send again from."""
+    """Parse RESEND: the sequence number to send again from."""
     seq: int = _unpack(_SEQ, payload)[0]
     return seq
 
@@ -252,7 +252,7 @@ def _is_count(value: object) -> TypeGuard[int]:
 
 
 def _is_time(value: object) -> TypeGuard[float]:
-    """Seconds that may be: JSON of others has NaN, infinities, and whole numbers of any length."""
+    """Whether this is a possible time in s: JSON may contain NaN, infinities, and integers of any length."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return 0 <= value <= LONGEST_S
@@ -295,7 +295,7 @@ def _progress(content: Any) -> RobotLinkStatus:
 
 
 def _override(content: Mapping[str, Any]) -> float | None:
-    """Speed override as a fraction; None where the robot does not report it."""
+    """Return the speed override as a fraction; None if the robot does not report it."""
     value = content.get("override")
     if value is None:
         return None

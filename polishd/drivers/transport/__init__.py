@@ -1,1 +1,1 @@
-"""What drivers share: addresses, lines, CAN, Modbus, streams, and the tracking of a running program."""
+"""Shared by drivers: addresses, lines, CAN, Modbus, streams, and the tracking of a running program."""

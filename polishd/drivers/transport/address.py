@@ -5,7 +5,7 @@
     slcan:PATH?bitrate=500000          a CAN bus behind a serial adapter (also ``baud``)
     socketcand://host:port/channel     a CAN bus behind a socketcand server
 
-Relative paths start from the folder that the caller names (the config's own).
+Relative paths start from the folder that the caller passes (the config's folder).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SerialLine:
 
     @property
     def settings(self) -> str:
-        """As people write them: ``9600 8E1``."""
+        """The usual notation: ``9600 8E1``."""
         return f"{self.baud} 8{self.parity[0].upper()}{self.stop_bits}"
 
     @property
@@ -85,9 +85,9 @@ Address = Tcp | SerialLine | SlcanAddress | SocketcandAddress
 
 
 def parse_address(text: str, base_dir: Path, usual: SerialLine | None = None) -> Address:
-    """Read an address; ConfigError names the address and what is wrong with it.
+    """Parse an address; ConfigError names the address and its error.
 
-    ``usual`` has the settings of a serial line that the address leaves out.
+    ``usual`` supplies the settings of a serial line that the address omits.
     """
     try:
         return _parse(urlsplit(text), base_dir, usual or SerialLine(Path()))
@@ -96,7 +96,7 @@ def parse_address(text: str, base_dir: Path, usual: SerialLine | None = None) ->
 
 
 def line_address(text: str, base_dir: Path, who: str, usual: SerialLine | None = None) -> SerialLine | Tcp:
-    """The address of what speaks on a stream of bytes; ConfigError where it is none for ``who``."""
+    """Parse the address of a byte stream; ConfigError if ``who`` does not support it."""
     address = parse_address(text, base_dir, usual)
     if isinstance(address, SerialLine | Tcp):
         return address
@@ -104,7 +104,7 @@ def line_address(text: str, base_dir: Path, who: str, usual: SerialLine | None =
 
 
 def tcp_address(text: str, base_dir: Path, who: str) -> Tcp:
-    """The address of a TCP peer; ConfigError where it is none for ``who``."""
+    """Parse the address of a TCP peer; ConfigError if ``who`` does not support it."""
     address = parse_address(text, base_dir)
     if isinstance(address, Tcp):
         return address
@@ -112,7 +112,7 @@ def tcp_address(text: str, base_dir: Path, who: str) -> Tcp:
 
 
 def can_address(text: str, base_dir: Path, who: str) -> SlcanAddress | SocketcandAddress:
-    """The address of a CAN bus; ConfigError where it is none for ``who``."""
+    """Parse the address of a CAN bus; ConfigError if ``who`` does not support it."""
     address = parse_address(text, base_dir)
     if isinstance(address, SlcanAddress | SocketcandAddress):
         return address
@@ -191,22 +191,22 @@ def _path(url: SplitResult, base_dir: Path) -> Path:
 
 
 def garbled(address: SerialLine | Tcp, came: bytes, silence_s: float, other: str = "") -> str:
-    """What bytes that came instead of an answer most likely are; ``other`` is looked at where they can be read."""
+    """Describe bytes that arrived instead of an answer, with their likely cause; ``other`` names a further cause."""
     within = f"within {silence_s:g} s" + (f" at {address.settings}" if isinstance(address, SerialLine) else "")
     text = came.decode("latin-1").strip()
     if text.isascii() and text.isprintable():
-        return f"{text[:40]!r} {within} is no answer; {f'see {other}; ' if other else ''}is it another device?"
+        return f"{text[:40]!r} {within} is not an answer. Check {f'{other} and ' if other else ''}the device."
     serial = isinstance(address, SerialLine)
-    todo = "see whether baud rate, parity and stop bits are the device's" if serial else "is it another device?"
+    todo = "baud rate, parity and stop bits" if serial else "the address and the device"
     shown = f"{came[:8].hex(' ')}{' ...' if len(came) > 8 else ''}"
-    return f"{len(came)} bytes {within} are no answer ({shown}); {todo}"
+    return f"{len(came)} bytes {within} are not an answer ({shown}). Check {todo}."
 
 
 def silent(address: SerialLine | Tcp, silence_s: float, other: str = "") -> str:
-    """What silence for so long most likely is: ``within 0.3 s at 9600 8N1; see ...``; ``other`` is looked at, too."""
+    """Describe a missing answer with its likely cause: ``within 0.3 s at 9600 8N1; see ...``; ``other`` adds one."""
     if isinstance(address, SerialLine):
-        looked, asked = f" at {address.settings}", ["baud rate", "parity", *filter(None, [other])]
+        looked, causes = f" at {address.settings}", ["baud rate", "parity", *filter(None, [other])]
     else:
-        looked, asked = "", ["port", *filter(None, [other])]
-    named = " and ".join(filter(None, [", ".join(asked[:-1]), asked[-1]]))
-    return f"within {silence_s:g} s{looked}; see whether it has power, and this {named}"
+        looked, causes = "", ["port", *filter(None, [other])]
+    named = " and ".join(filter(None, [", ".join(causes[:-1]), causes[-1]]))
+    return f"within {silence_s:g} s{looked}. Check power, {named}."

@@ -1,4 +1,4 @@
-"""Work that goes on between ``open()`` and ``close()`` of a device, and whose failure reaches everybody who waits."""
+"""Background task of a device between ``open()`` and ``close()``; its failure is raised in every waiting call."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ Ready = Callable[[], None]
 
 
 def settle(future: asyncio.Future[None]) -> None:
-    """End a future that nobody may have ended yet."""
+    """Set the result of a future unless it is done."""
     if not future.done():
         future.set_result(None)
 
 
 class Background:
-    """Owns one task from ``start`` to ``stop``. When it fails, ``check``, ``until`` and ``result`` raise its error."""
+    """Owner of a task from ``start`` to ``stop``. If it fails, ``check``, ``until`` and ``result`` raise its error."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -38,7 +38,7 @@ class Background:
         return self._task is not None and not self._task.done()
 
     async def start(self, main: Callable[[Ready], Coroutine[Any, Any, None]], within_s: float) -> None:
-        """Run ``main(ready)`` until ``stop``; returns once it has called ready, raises what it failed with before."""
+        """Run ``main(ready)`` until ``stop``; return once it has called ready, raise its error if it fails before."""
         if self._task is not None:
             raise LinkError(f"{self.name}: is open already")
         ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -60,26 +60,26 @@ class Background:
             task.cancel()
             await asyncio.wait({task})
             if not task.cancelled():
-                task.exception()  # was raised to every waiter, or is moot now
+                task.exception()  # raised in every waiting call, or irrelevant now
 
     def check(self) -> None:
-        """Raise what the task failed with; LinkError when it does not run."""
+        """Raise the error of the task; LinkError if it does not run."""
         if not self.alive:
             raise self._failure()
 
     def fire(self) -> None:
-        """Wake all who wait for news. Unlike an event it keeps no memory, so that conditions are looked at anew."""
+        """Wake all waiting calls, which check their conditions again. Unlike an event it keeps no state."""
         if self._news is not None:
             settle(self._news)
 
     def news(self) -> asyncio.Future[None]:
-        """A future that ends at the next ``fire``; shared, so never to be cancelled."""
+        """Return a future that ends at the next ``fire``. It is shared: do not cancel it."""
         if self._news is None or self._news.done():
             self._news = asyncio.get_running_loop().create_future()
         return self._news
 
     async def until(self, condition: Callable[[], bool], within_s: float | None = None) -> bool:
-        """Wait for the condition, looked at after each ``fire``; False when the time is up first."""
+        """Wait for the condition, checked after each ``fire``; False on timeout."""
         deadline = None if within_s is None else time.monotonic() + within_s
         while not condition():
             self.check()
@@ -90,7 +90,7 @@ class Background:
         return True
 
     async def result(self, future: asyncio.Future[T], within_s: float | None = None) -> T:
-        """The future's result; LinkError when the time is up first."""
+        """Return the future's result; LinkError on timeout."""
         await self._first(future, within_s)
         if future.done():
             return future.result()
@@ -98,7 +98,7 @@ class Background:
         raise LinkError(f"{self.name}: {self._unanswered(within_s or 0.0)}")
 
     def _unanswered(self, within_s: float) -> str:
-        """What silence for so long means; where more is known of the link, what is most likely wrong, too."""
+        """Describe the timeout; a link that knows more adds the likely cause."""
         return f"no answer within {within_s:g} s"
 
     async def _first(self, future: asyncio.Future[T], within_s: float | None) -> None:
@@ -113,7 +113,7 @@ class Background:
         error = self._task.exception()
         if error is None:
             return LinkError(f"{self.name}: has ended")
-        # A new one for each waiter: tracebacks grow in what is raised.
+        # A new error for each waiting call: a raised error collects tracebacks.
         if not isinstance(error, PolishdError):
             return error
         anew = type(error)(*error.args)
@@ -122,7 +122,7 @@ class Background:
 
 
 async def _flat(main: Coroutine[Any, Any, None]) -> None:
-    """Main, with the first error instead of the group that a TaskGroup makes of it."""
+    """Run main; raise the first error instead of a TaskGroup's exception group."""
     try:
         await main
     except BaseExceptionGroup as group:
@@ -133,9 +133,9 @@ async def _flat(main: Coroutine[Any, Any, None]) -> None:
 
 
 async def cancellable(answer: Awaitable[T]) -> T:
-    """What a library answers that waits with ``asyncio.wait_for``.
+    """Await a library call that uses ``asyncio.wait_for``, without losing a cancellation.
 
-    Python 3.11's loses a cancellation that comes with the answer (CPython gh-86296): whoever was stopped would go on.
+    In Python 3.11 ``wait_for`` loses a cancellation that arrives with the answer (CPython gh-86296).
     """
     task = asyncio.current_task()
     before = 0 if task is None else task.cancelling()
@@ -146,7 +146,7 @@ async def cancellable(answer: Awaitable[T]) -> T:
 
 
 async def open_blocking(make: Callable[[], T], undo: Callable[[T], object], within_s: float, what: str) -> T:
-    """Run a blocking open in a thread. What it brings after the time is up, or after a cancellation, is undone."""
+    """Run a blocking open in a thread. A result after the timeout or a cancellation is undone."""
     future = asyncio.get_running_loop().run_in_executor(None, make)
 
     def undo_late(late: asyncio.Future[T]) -> None:
@@ -164,11 +164,11 @@ async def open_blocking(make: Callable[[], T], undo: Callable[[T], object], with
     return future.result()
 
 
-# A loop that goes round at a steady pace.
+# Periodic loop.
 
 
 class PeriodicTimer:
-    """One round a period. A round that took longer is not made up for by the next ones."""
+    """Timer of a periodic loop. A round that takes longer does not shorten later rounds."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -180,7 +180,7 @@ class PeriodicTimer:
         await asyncio.sleep(self._due_s - time.monotonic())
 
 
-# One request at a time on a wire that answers one at a time; urgent ones overtake those that wait.
+# One request at a time on a link; urgent requests overtake waiting ones.
 
 
 @dataclass(order=True)
@@ -193,10 +193,10 @@ class _Job:
 
 
 class RequestQueue:
-    """Runs requests one after the other in a task of its own.
+    """Queue that runs requests one after the other in its own task.
 
-    A caller that is cancelled while its request is on the wire leaves it there to be answered: the answer is dropped
-    and never taken for the next one's. An urgent request waits for one other at most.
+    If a caller is cancelled while its request is on the link, the queue waits for the answer and drops it, so that it
+    is never taken for the next request's. An urgent request waits for at most one other.
     """
 
     def __init__(self, name: str) -> None:
@@ -206,20 +206,20 @@ class RequestQueue:
 
     @property
     def running(self) -> bool:
-        """Requests are served."""
+        """Whether requests are served."""
         return self._background.alive
 
     async def start(self) -> None:
-        """Begin to serve."""
+        """Start to serve requests."""
         await self._background.start(self._serve, within_s=1.0)
 
     async def stop(self) -> None:
-        """Cut off the request on the wire; all callers get LinkError. Idempotent."""
+        """Cancel the request on the link; all callers get LinkError. Idempotent."""
         await self._background.stop()
         self._jobs.clear()
 
     async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
-        """Run ``work`` when it is its turn; its result or its error."""
+        """Run ``work`` in its turn; return its result or raise its error."""
         self._background.check()
         answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         heapq.heappush(self._jobs, _Job((0 if urgent else 1, next(self._count)), work, answer))

@@ -1,4 +1,4 @@
-"""A CAN bus behind python-can, read by our own loop (its Notifier dies silently). No other file knows python-can."""
+"""CAN bus over python-can, read by our loop (its Notifier fails silently). The only file that imports python-can."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ SLCAN_SETTLE_S = 0.05
 POLL_S = 0.05
 SEND_S = 0.3
 EMPTY_READS = 3
-"""A serial line that was readable and then had nothing: on a loaded machine once, on a dead one for ever."""
+"""Empty reads in a row of a readable serial line: a loaded computer has one, a dead line has them without end."""
 
 BUS_OFF = 0x40
-"""Class of an error frame: the adapter has left the bus."""
+"""Error frame class: the adapter has left the bus."""
 
 
 class CanFrame(NamedTuple):
@@ -46,9 +46,9 @@ OnFrame = Callable[[CanFrame], None]
 
 
 async def open_bus(address: SlcanAddress | SocketcandAddress, node: int) -> CanBus:
-    """Connect to the bus for the sake of that node; LinkError where that fails.
+    """Connect to the bus for that node; LinkError if that fails.
 
-    DeviceClaimed where another program on this computer has the adapter, or that node of a bus behind a server.
+    DeviceClaimed if another program on this computer uses the adapter, or that node of a bus behind a server.
     """
     claimed = await claim_address(address, part=str(node))
     try:
@@ -59,7 +59,7 @@ async def open_bus(address: SlcanAddress | SocketcandAddress, node: int) -> CanB
 
 
 async def _connected(address: SlcanAddress | SocketcandAddress) -> can.BusABC:
-    logging.getLogger("can").setLevel(logging.CRITICAL)  # what goes wrong is raised here, and told once
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # errors are raised here once
     if isinstance(address, SocketcandAddress):
         await _greeted(address)
     try:
@@ -70,7 +70,7 @@ async def _connected(address: SlcanAddress | SocketcandAddress) -> can.BusABC:
 
 
 async def _greeted(address: SocketcandAddress) -> None:
-    """See that a socketcand server is there: python-can would spin for 10 s, or wait for ever for its greeting."""
+    """Check that a socketcand server answers: python-can would spin for 10 s, or wait for its greeting without end."""
     server = Tcp(address.host, address.port)
     try:
         stream = await connect_unclaimed(server, GREETING_S)
@@ -82,7 +82,7 @@ async def _greeted(address: SocketcandAddress) -> None:
             while b"< hi >" not in greeting:
                 greeting += await stream.read(64, GREETING_S)
                 if len(greeting) > 64:
-                    raise LinkError(f"{address}: no socketcand server, it said {greeting!r}")
+                    raise LinkError(f"{address}: no socketcand server, it answered {greeting!r}")
     except TimeoutError:
         raise LinkError(f"{address}: no greeting within {GREETING_S:g} s; is it a socketcand server?") from None
     finally:
@@ -102,7 +102,7 @@ def _make(address: SlcanAddress | SocketcandAddress) -> can.BusABC:
 
 
 def _socketcand(address: SocketcandAddress) -> can.BusABC:
-    """python-can takes a frame that comes along with the server's last ok for a refusal: by chance, so ask again."""
+    """Connect, with retries: python-can takes a frame that arrives with the server's last ok for a refusal."""
     for left in reversed(range(OPEN_TRIES)):
         try:
             return TidySocketcand(channel=address.channel, host=address.host, port=address.port)
@@ -113,7 +113,7 @@ def _socketcand(address: SocketcandAddress) -> can.BusABC:
 
 
 class TidySocketcand(SocketCanDaemonBus):
-    """python-can waits for ever for a server that falls silent, and leaves the socket open where one says no."""
+    """Socketcand bus with timeouts that closes its socket: python-can waits without end, and leaks it on refusal."""
 
     def __init__(self, **where: Any) -> None:
         try:
@@ -125,7 +125,7 @@ class TidySocketcand(SocketCanDaemonBus):
 
     def _expect_msg(self, msg: str) -> None:
         if (connected := self._own_socket()) is not None:
-            connected.settimeout(SEND_S)  # for good: sending, on the event loop, would wait for ever, too
+            connected.settimeout(SEND_S)  # permanent: sending on the event loop would wait without end, too
         super()._expect_msg(msg)  # type: ignore[no-untyped-call]
 
     def _own_socket(self) -> socket.socket | None:
@@ -133,9 +133,9 @@ class TidySocketcand(SocketCanDaemonBus):
 
 
 class PromptSlcan(slcanBus):
-    """python-can waits until the line has taken each frame, on the event loop: an adapter that hangs would stop it.
+    """Slcan bus that never blocks: python-can waits on the event loop until the line has accepted each frame.
 
-    It also shares the port with whatever has it open, and leaves it open where the adapter takes nothing more.
+    It also opens the port exclusively, and closes it even if the adapter accepts no more data.
     """
 
     def __init__(self, channel: str, **settings: Any) -> None:
@@ -148,12 +148,12 @@ class PromptSlcan(slcanBus):
             raise
 
     def set_bitrate(self, bitrate: int, data_bitrate: int | None = None) -> None:
-        """Called before the first byte is sent: nothing is said to an adapter that another program uses."""
+        """Called before the first byte is sent: no data goes to an adapter that another program uses."""
         self.serialPortOrig.exclusive = True
         super().set_bitrate(bitrate, data_bitrate)
 
     def shutdown(self) -> None:
-        """Leave the bus, and the port in any case."""
+        """Leave the bus, and always close the port."""
         try:
             super().shutdown()
         finally:
@@ -170,7 +170,7 @@ class PromptSlcan(slcanBus):
 
 
 class CanBus:
-    """An open bus. What is received goes to a callback; errors end ``receive`` with LinkError."""
+    """An open bus. Received frames go to a callback; errors end ``receive`` with LinkError."""
 
     def __init__(self, name: str, bus: can.BusABC, claimed: Claim | None = None) -> None:
         """``claimed`` is released when the bus is closed."""
@@ -181,7 +181,7 @@ class CanBus:
         self._tap = tap(name)
 
     def send(self, frame: CanFrame) -> None:
-        """Hand over a frame; LinkError where the adapter takes none."""
+        """Send a frame; LinkError if the adapter accepts none."""
         message = can.Message(arbitration_id=frame.identifier, data=frame.data, is_extended_id=False)
         try:
             self._bus.send(message, timeout=SEND_S)
@@ -191,7 +191,7 @@ class CanBus:
             self._tap("out", frame.data, frame.identifier)
 
     async def receive(self, on_frame: OnFrame) -> None:
-        """Pass on frames until cancelled, or LinkError."""
+        """Pass frames to the callback until cancelled, or LinkError."""
         try:
             fileno = self._bus.fileno()
         except NotImplementedError:
@@ -200,7 +200,7 @@ class CanBus:
             await self._receive_when_ready(fileno, on_frame)
 
     async def close(self) -> None:
-        """Leave the bus; what is dead already is left as it is."""
+        """Leave the bus; errors of a dead bus are ignored."""
         if self._tap is not None:
             self._tap("end", why="the bus is closed")
         try:
@@ -243,7 +243,7 @@ class CanBus:
                 frame = self._next(0.0)
 
     def _was_nothing(self, error: Exception) -> bool:
-        """Whether a read merely found nothing, a few times in a row at most."""
+        """Whether a read found no data, a few times in a row at most."""
         self._empty += 1
         return "returned no data" in str(error.__cause__) and self._empty <= EMPTY_READS
 
@@ -251,7 +251,7 @@ class CanBus:
         try:
             message = self._bus.recv(within_s)
         except (ValueError, IndexError):
-            return None  # slcan: a line that is no frame
+            return None  # slcan: a line that is not a frame
         except (can.CanError, OSError) as error:
             if self._was_nothing(error):
                 return None
@@ -260,7 +260,7 @@ class CanBus:
             self._flush(self._bus)
             return None
         if message is not None and message.is_error_frame and message.arbitration_id & BUS_OFF:
-            raise LinkError(f"{self._name}: the adapter is off the bus: look at wiring, termination and bit rate")
+            raise LinkError(f"{self._name}: the adapter is off the bus. Check wiring, termination and bit rate.")
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         self._empty = 0
@@ -270,7 +270,7 @@ class CanBus:
         return frame
 
     def _flush(self, bus: slcanBus) -> None:
-        """Drop what is buffered: else one byte above 0x7F would spoil all frames from now on."""
+        """Drop buffered bytes: one byte above 0x7F would corrupt all later frames."""
         try:
             bus.flush()
         except can.CanError as error:
@@ -278,34 +278,34 @@ class CanBus:
 
 
 def _said(error: Exception) -> str:
-    """One line: python-can puts whole tracebacks into what it says."""
-    told, cause = str(error).partition("Traceback (")[0].strip(), str(error.__cause__ or "")
-    return told if cause in told else f"{told} ({cause})"
+    """Return the error in one line: python-can puts whole tracebacks into its messages."""
+    message, cause = str(error).partition("Traceback (")[0].strip(), str(error.__cause__ or "")
+    return message if cause in message else f"{message} ({cause})"
 
 
-# Which CANopen nodes are heard on a bus: what is said of one that does not answer.
+# CANopen nodes that send on a bus, to explain why a node does not answer.
 
 OF_NODES = frozenset({1, 3, 5, 7, 9, 11, 14})
-"""Function codes of CiA 301 that a node sends by: emergency, process data, answers to SDO, heartbeat."""
+"""Function codes of CiA 301 that a node sends: emergency, process data, SDO answers, heartbeat."""
 
 
 class NodesHeard:
-    """The nodes that were heard."""
+    """Nodes from which a frame was received."""
 
     def __init__(self) -> None:
         self._nodes: set[int] = set()
 
     def add(self, frame: CanFrame) -> None:
-        """A frame came."""
+        """Record the sender of a frame."""
         function, node = divmod(frame.identifier, 0x80)
         if node and function in OF_NODES:
             self._nodes.add(node)
 
     def without(self, node: int, address: SlcanAddress | SocketcandAddress) -> str:
-        """Why that node does not answer, most likely, and what to do."""
+        """Return the likely reason why that node does not answer, and what to do."""
         if node in self._nodes:
-            return f"node {node} is there, but is no such device: is it another one?"
+            return f"node {node} sends, but not as this device. Check the node number."
         if self._nodes:
-            return f"heard are nodes {', '.join(map(str, sorted(self._nodes)))}: see the node number"
+            return f"only nodes {', '.join(map(str, sorted(self._nodes)))} send. Check the node number."
         adapter = f", and the adapter's {address.baud} baud" if isinstance(address, SlcanAddress) else ""
-        return f"nothing is heard on the bus: see power, bit rate, wires and termination{adapter}"
+        return f"the bus is silent. Check power, bit rate, wires and termination{adapter}."

@@ -1,4 +1,4 @@
-"""Claims on the addresses that drivers open: each connection takes one first, and gives it back when it is closed."""
+"""Claims on device addresses: each connection claims its address first, and releases it when it is closed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from polishd.drivers.transport.address import Address, SerialLine, SlcanAddress,
 from polishd.util.address_claims import Claim, claim, serial_key, tcp_keys
 
 RESOLVE_S = 1.0
-"""Longest wait for a name server: without an answer the host counts by its name."""
+"""Longest wait for a name server; without an answer the claim uses the host's name."""
 
 
 async def claim_address(address: Address, *, part: str = "") -> Claim:
@@ -19,11 +19,11 @@ async def claim_address(address: Address, *, part: str = "") -> Claim:
     ``open_stream`` and ``open_bus`` claim what they open. A driver calls this where a library connects for it.
 
     Args:
-        address: of the device.
-        part: what this program uses behind the address, where several programs may share it: a CAN node, an AMS port.
+        address: Address of the device.
+        part: Part behind the address, if several programs may share it: a CAN node, an AMS port.
 
     Raises:
-        DeviceClaimed: another program on this computer has it. Nothing was connected.
+        DeviceClaimed: Another program on this computer has it. Nothing was connected.
     """
     name = str(address)
     if isinstance(address, SerialLine | SlcanAddress):

@@ -1,6 +1,6 @@
-"""Numbered lines with a checksum over a byte stream: a late answer is dropped by its number, never taken for another.
+"""Numbered lines with a checksum over a byte stream. The number identifies late answers, which are dropped.
 
-A line is ``$`` number ``,`` body ``*`` XOR of what stands between, two hex digits, CR LF. Each request has one answer.
+A line is ``$`` number ``,`` body ``*`` XOR of the bytes between, two hex digits, CR LF. Each request has one answer.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from polishd.model.devices import DeviceIdentity
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 
 NUMBERED_LINE_BYTES = 120
-"""Bytes of a line."""
+"""Longest line, bytes."""
 OPEN_S = 1.0
 _LINE = re.compile(rb"\$([ -)+-~]*)\*([0-9A-F]{2})\r?")
 
 
 def encode(number: int, body: str) -> bytes:
-    """A numbered request as a line."""
+    """Return a numbered request as a line."""
     text = f"{number},{body}".encode("ascii")
     return b"$%b*%02X\r\n" % (text, _checksum(text))
 
 
 def decode(line: bytes) -> tuple[int, str] | None:
-    """Number and body of a line without its LF; None where it is broken: such lines are dropped."""
+    """Return number and body of a line without its LF; None if it is broken: such lines are dropped."""
     start = line.rfind(b"$")
     match = _LINE.fullmatch(line[start:]) if start >= 0 and len(line) - start <= NUMBERED_LINE_BYTES else None
     if match is None or int(match[2], 16) != _checksum(match[1]):
@@ -48,7 +48,7 @@ def decode(line: bytes) -> tuple[int, str] | None:
 
 
 def identity(body: str) -> DeviceIdentity:
-    """The answer to ``ID?``; ProtocolError where it is none."""
+    """Parse the answer to ``ID?``; ProtocolError if it is invalid."""
     parts = body.split(",")
     if len(parts) != 6 or parts[0] != "ID":
         raise ProtocolError(f"no answer to ID?: {body!r}")
@@ -56,7 +56,7 @@ def identity(body: str) -> DeviceIdentity:
 
 
 class NumberedLines:
-    """Asks one request at a time; the caller sees to that."""
+    """Link with numbered lines. The caller sends one request at a time."""
 
     def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
         """An answer comes within ``silence_s``."""
@@ -68,15 +68,15 @@ class NumberedLines:
         self._lines: LineReader | None = None
         self._number = 0
         self._broken = b""
-        """A line that came instead of the answer."""
+        """A line that arrived instead of the answer."""
 
     @property
     def connected(self) -> bool:
-        """False before ``connect``, and once the wire itself is gone."""
+        """False before ``connect``, and once the connection is lost."""
         return self._stream is not None
 
     async def connect(self) -> None:
-        """Open the wire, anew where it is open."""
+        """Open the link; reopen an open one."""
         await self.disconnect()
         self._stream = await open_stream(self._address, OPEN_S)
         self._lines = LineReader(self._stream, longest=NUMBERED_LINE_BYTES)
@@ -88,7 +88,7 @@ class NumberedLines:
             await stream.close()
 
     async def ask(self, request: str) -> str:
-        """The answer's body. LinkError where none comes in time; DeviceRefused for ``ERR,...``."""
+        """Return the answer's body. LinkError if none arrives in time; DeviceRefused for ``ERR,...``."""
         if self._stream is None or self._lines is None:
             raise LinkError(f"{self.name}: is not open")
         self._number, self._broken = (self._number + 1) & 0xFFFF, b""
@@ -97,7 +97,7 @@ class NumberedLines:
             await self._stream.write(encode(self._number, request))
             answer = await self._answer(self._lines, deadline)
         except LinkError as error:
-            if time.monotonic() < deadline:  # not merely silent: the wire itself is gone
+            if time.monotonic() < deadline:  # the connection itself is lost
                 await self.disconnect()
                 raise LinkError(f"{self.name}: no answer to {request} ({error})") from error
             raise LinkError(f"{self.name}: {self._unanswered(request, self._lines.rest)}") from error
@@ -117,7 +117,7 @@ class NumberedLines:
                 return numbered[1]
 
     def _unanswered(self, request: str, rest: bytes) -> str:
-        """What silence, or what came instead of an answer, most likely is."""
+        """Describe a missing or garbled answer with its likely cause."""
         if came := self._broken or rest.strip():
             return f"{request}: {garbled(self._address, came, self._silence_s)}"
         return f"no answer to {request} {silent(self._address, self._silence_s)}"
@@ -127,20 +127,20 @@ def _checksum(text: bytes) -> int:
     return reduce(xor, text, 0)
 
 
-# Lines without numbers: each has one answer, the next line that comes. Silence ends the link.
+# Lines without numbers: the next line that arrives is the answer. Silence ends the link.
 
 T = TypeVar("T")
 PLAIN_LINE_BYTES = 1000
-"""Bytes of an answer."""
+"""Longest answer, bytes."""
 
 
 class PlainLines:
-    """Asks one line at a time, over TCP or a serial line, in ASCII; lines end with LF."""
+    """Link with plain ASCII lines, over TCP or a serial line, one request at a time; lines end with LF."""
 
     def __init__(self, address: Tcp | SerialLine, silence_s: float, *, hello: str, refusal: str = "") -> None:
-        """An answer comes within ``silence_s``, or the link is dead.
+        """Without an answer within ``silence_s`` the link is dead.
 
-        ``hello`` is a question that changes nothing; an answer that begins with ``refusal`` raises DeviceRefused.
+        ``hello`` is a request that changes nothing; an answer that begins with ``refusal`` raises DeviceRefused.
         """
         self.name = str(address)
         """For messages."""
@@ -155,11 +155,11 @@ class PlainLines:
 
     @property
     def is_open(self) -> bool:
-        """Opened, not closed, and not found dead since."""
+        """Whether the link is open and not known to be dead."""
         return self._stream is not None
 
     async def open(self) -> None:
-        """Connect anew, and say hello; LinkError where nobody answers. Cancelled, or in vain, it is closed."""
+        """Connect and send ``hello``; LinkError without an answer. A failure or cancellation closes the link."""
         async with self._opening:
             await self.close()
             try:
@@ -172,13 +172,13 @@ class PlainLines:
                 raise
 
     async def close(self) -> None:
-        """Disconnect; whoever waits gets LinkError. Idempotent."""
+        """Disconnect; waiting calls get LinkError. Idempotent."""
         await self._queue.stop()
         await self._hang_up()
 
     @asynccontextmanager
     async def opened(self) -> AsyncIterator[None]:
-        """It is open in this block, for what may be asked in any state: as it is, or else for the time of the block."""
+        """Keep the link open during the block; a closed link is opened for the block only."""
         if self.is_open:
             yield
             return
@@ -189,14 +189,14 @@ class PlainLines:
             await self.close()
 
     async def ask(self, line: str, *, urgent: bool = False) -> str:
-        """The answer; LinkError where the link is not open, dead or silent. An urgent line overtakes others."""
+        """Return the answer; LinkError if the link is closed, dead or silent. An urgent line overtakes others."""
         answer = await self._queue.ask(lambda: self._exchange(line), urgent=urgent)
         if self._refusal and answer.startswith(self._refusal):
             raise DeviceRefused(f"{self.name}: {line} was refused: {answer}")
         return answer
 
     async def read(self, line: str, parse: Callable[[str], T], *, urgent: bool = False) -> T:
-        """What ``parse`` makes of the answer; ProtocolError where that raises ValueError."""
+        """Return the parsed answer; ProtocolError if ``parse`` raises ValueError."""
         answer = await self.ask(line, urgent=urgent)
         try:
             return parse(answer)
@@ -213,7 +213,7 @@ class PlainLines:
             answer = await self._lines.next(self._silence_s)
         except LinkError as error:
             why, came = f"no answer to {line} ({error})", self._lines.rest
-            if time.monotonic() >= deadline:  # else the wire itself is gone
+            if time.monotonic() >= deadline:  # otherwise the connection itself is lost
                 garbage = came and f"{line}: {garbled(self._address, came, self._silence_s)}"
                 why = str(garbage or f"no answer to {line} {silent(self._address, self._silence_s)}")
             await self._hang_up()
@@ -229,11 +229,11 @@ class PlainLines:
 # Devices on numbered lines: one request at a time.
 
 ANSWERS_S = 2.0
-"""Of ``make_safe``, beyond the action itself: a link that is lost over it is opened again once."""
+"""Time of ``make_safe`` beyond the action: a link that is lost meanwhile is opened again once."""
 
 
 class LineDevice(ABC):
-    """What their drivers share. A link that is lost stays so until ``open``; only ``make_safe`` tries to reach it."""
+    """Common base of their drivers. A lost link stays lost until ``open``; only ``make_safe`` reconnects."""
 
     def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
         """An answer comes within ``silence_s``."""
@@ -267,24 +267,24 @@ class LineDevice(ABC):
         """See Device."""
 
     async def _look(self) -> object:
-        """Ask what shows that it is there."""
+        """Send a request that shows that the device answers."""
         return await self.identify()
 
     async def ask(self, request: str) -> str:
-        """The answer's body; DeviceRefused for ``ERR,...``."""
+        """Return the answer's body; DeviceRefused for ``ERR,...``."""
         async with self._turn:
             return await self._lines.ask(request)
 
     async def _order(self, request: str) -> None:
-        """What is answered by ``OK``; ProtocolError where it is answered by anything else."""
+        """Send a command; ProtocolError if the answer is not ``OK``."""
         answer = await self.ask(request)
         if answer != "OK":
             raise ProtocolError(f"{self.name}: {request} was answered by {answer!r}")
 
     async def _rest(self, go: Callable[[], Awaitable[object]], within_s: float, otherwise: str) -> None:
-        """Do what brings it to rest and proves it; a link lost over it is opened again once.
+        """Bring the device to rest and confirm it; a link that is lost meanwhile is opened again once.
 
-        After ``within_s`` LinkError says ``otherwise``.
+        After ``within_s`` LinkError with the message ``otherwise``.
         """
         opened = self._lines.connected
         try:
@@ -302,12 +302,12 @@ class LineDevice(ABC):
                 await self.close()
 
 
-# Devices that only look, on numbered lines: nothing to make safe.
+# Read-only devices on numbered lines: nothing to make safe.
 
 
 class ReadOnlyLineDevice(LineDevice):
-    """What their drivers share."""
+    """Common base of their drivers."""
 
     async def make_safe(self) -> None:
-        """See Device. It exerts nothing: that it answers is all that can be confirmed."""
+        """See Device. The device exerts no force: only its answer can be confirmed."""
         await self._rest(self._look, ANSWERS_S, f"no answer within {ANSWERS_S:g} s")

@@ -1,4 +1,4 @@
-"""Modbus requests of which each answer is checked. The only file that knows pymodbus."""
+"""Modbus link that checks each answer. The only file that imports pymodbus."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from polishd.drivers.transport.streams import SerialStream, TcpStream, drop_stal
 from polishd.model.devices import RegisterTable
 from polishd.model.errors import DeviceRefused, LinkError, ProtocolError
 
-# A wire whose answers bear no number: one that comes after its time would be taken for the next request's.
+# A link whose answers have no number: a late one could be taken for the next request's.
 
 OPEN_S = 1.0
 
 
 class UnnumberedLink:
-    """Asks one request at a time; the caller sees to that.
+    """Link with unnumbered answers. The caller sends one request at a time.
 
-    After silence or nonsense the line is closed, and opened again (which drops what came) only when no answer can be
-    due.
+    After silence or an invalid answer the link is closed. It is reopened, which drops received bytes, only when no
+    answer can be due.
     """
 
     def __init__(self, address: SerialLine | Tcp, silence_s: float) -> None:
-        """An answer comes within ``silence_s``; on a serial line one may still come as long after that."""
+        """``silence_s`` is the longest wait for an answer; on a serial line a late one may follow for as long again."""
         self._address = address
         self._silence_s = silence_s
         self._stream: TcpStream | SerialStream | None = None
@@ -40,11 +40,11 @@ class UnnumberedLink:
 
     @property
     def connected(self) -> bool:
-        """False before ``connect``, and as soon as answers can no longer be trusted."""
+        """False before ``connect``, and once answers can no longer be trusted."""
         return self._stream is not None and self._stream.alive
 
     async def connect(self) -> None:
-        """Open the wire; waits until a late answer to an earlier request can no longer come."""
+        """Open the link; waits until no late answer to an earlier request can arrive."""
         await self.disconnect()
         if isinstance(self._address, SerialLine):
             await asyncio.sleep(max(self._due_until - time.monotonic(), 0.0))
@@ -57,7 +57,7 @@ class UnnumberedLink:
             await stream.close()
 
     async def distrust(self) -> None:
-        """What else comes is not to be taken for an answer."""
+        """Close the link, so that no late bytes are taken for an answer."""
         self._due_until = time.monotonic() + 2 * self._silence_s
         await self.disconnect()
 
@@ -72,20 +72,20 @@ REFUSALS = {
     1: "function not supported",
     2: "address not known",
     3: "value out of range",
-    4: "the device failed over it",
+    4: "the device failed to execute it",
     6: "busy",
 }
 LOOKS, NOT_THERE = (1, 2, 3, 4), (1, 2)
-"""Functions that read, and exception codes of a device that has nothing there: most often it is another one."""
+"""Read functions, and exception codes for missing registers: most often it is another device."""
 ECHO = 5
-"""Bytes of the answer to a write: function, address, value or count."""
+"""Length of the answer to a write, bytes: function, address, value or count."""
 BITS = ("coil", "discrete")
 GATEWAY = (10, 11)
-"""Exception codes of a gateway whose device does not answer."""
+"""Exception codes of a gateway for a silent device."""
 
 
 class ModbusLink(UnnumberedLink):
-    """Modbus RTU, whose answers bear no number, or Modbus TCP, whose line is treated as strictly."""
+    """Modbus RTU, whose answers have no number, or Modbus TCP, which is handled in the same way."""
 
     def __init__(
         self,
@@ -95,29 +95,29 @@ class ModbusLink(UnnumberedLink):
         pause_s: float = 0.0,
         refusals: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
-        """See UnnumberedLink. ``pause_s`` of silence before a request; ``refusals``: its exception codes."""
+        """See UnnumberedLink. ``pause_s``: silence before a request; ``refusals``: texts of exception codes."""
         super().__init__(address, silence_s)
         self.name = f"{address} unit {unit}"
         self._unit = unit
         self._refusals = {**REFUSALS, **refusals}
         serial = isinstance(address, SerialLine)
         self._framer = (FramerRTU if serial else FramerSocket)(DecodePDU(False))
-        # the standard's three and a half bytes, and its least of them for fast lines
+        # the standard's three and a half bytes, and its minimum for fast lines
         self._pause_s = pause_s + (max(3.5 * address.byte_s, 0.00175) if isinstance(address, SerialLine) else 0.0)
         self._number = 0
         self._heard = 0.0
 
     async def read(self, table: RegisterTable, address: int, count: int) -> list[int]:
-        """Words, or bits as 0 and 1."""
+        """Read words, or bits as 0 and 1."""
         answer = await self._ask(*_read(table, address, count))
         found = [int(one) for one in answer.bits or answer.registers]
-        # bits come in whole bytes
+        # bits arrive in whole bytes
         if len(found) != (-(-count // 8) * 8 if table in BITS else count):
             raise await self._nonsense(f"read of {count} from {table} {address}", answer)
         return found[:count]
 
     async def write(self, table: RegisterTable, address: int, values: Sequence[int], *, many: bool) -> None:
-        """To holding registers or coils; ``many`` chooses the function that writes several."""
+        """Write holding registers or coils; ``many`` selects the function that writes several."""
         request, response = _write(table, address, values, many=many)
         answer = await self._ask(request, response)
         echoed = (answer.address, answer.count) == (address, len(values)) if many else _same(answer, request)
@@ -125,7 +125,7 @@ class ModbusLink(UnnumberedLink):
             raise await self._nonsense(f"write of {list(values)} to {table} {address}", answer)
 
     async def _ask(self, request: ModbusPDU, response: ModbusPDU) -> ModbusPDU:
-        """The request's answer, of its kind, not yet compared with what was asked."""
+        """Return the answer of the request's kind, not yet compared with the request."""
         self._number = self._number % 0xFFFF + 1
         request.transaction_id, request.dev_id = self._number, self._unit
         body = await self._body(self._framer.buildFrame(request))
@@ -135,7 +135,7 @@ class ModbusLink(UnnumberedLink):
             if body[0] != request.function_code:
                 raise ValueError(f"function {body[0]}")
             if len(body) != (2 + body[1] if request.function_code in LOOKS else ECHO):
-                raise ValueError(f"{len(body)} bytes")  # pymodbus takes what is there
+                raise ValueError(f"{len(body)} bytes")  # pymodbus accepts a short answer
             response.decode(body[1:])
         except (ModbusException, ValueError, IndexError, struct.error):
             await self.distrust()
@@ -144,7 +144,7 @@ class ModbusLink(UnnumberedLink):
         return response
 
     async def _body(self, request: bytes) -> bytes:
-        """Function code and data of the answer's frame."""
+        """Return function code and data of the answer's frame."""
         if self._stream is None:
             raise LinkError(f"{self.name}: is not open")
         await asyncio.sleep(max(self._heard + self._pause_s - time.monotonic(), 0.0))
@@ -166,11 +166,11 @@ class ModbusLink(UnnumberedLink):
         return body
 
     def _cut(self, came: bytes) -> bytes | None:
-        """The body of our answer, where it is among the bytes that came."""
+        """Return the body of our answer if the received bytes contain it."""
         at, due = 0, 0 if isinstance(self._framer, FramerRTU) else self._number
         while at < len(came):
             if isinstance(self._framer, FramerSocket) and came[at + 2 : at + 4].strip(b"\0"):
-                raise ProtocolError(f"{self.name}: what answers there does not speak Modbus TCP: {came[:16].hex(' ')}")
+                raise ProtocolError(f"{self.name}: the answer is not Modbus TCP: {came[:16].hex(' ')}")
             used, unit, number, body = self._framer.decode(came[at:])
             if not used or not body:
                 return None
@@ -180,8 +180,8 @@ class ModbusLink(UnnumberedLink):
         return None
 
     def _unanswered(self, came: bytes, error: LinkError, *, in_time: bool) -> LinkError:
-        """What silence, or what came instead of an answer, most likely is."""
-        if in_time:  # not merely silent: the wire itself is gone
+        """Describe a missing or garbled answer with its likely cause."""
+        if in_time:  # the connection itself is lost
             return error
         if not came:
             return LinkError(f"{self.name}: no answer {silent(self._address, self._silence_s, 'unit number')}")
@@ -192,7 +192,7 @@ class ModbusLink(UnnumberedLink):
             return LinkError(
                 f"{self.name}: the gateway answers, its unit {self._unit} does not; see power, wires, unit"
             )
-        why = f"{self.name}: exception {code}, {self._refusals.get(code, 'no reason that is known')}"
+        why = f"{self.name}: exception {code}, {self._refusals.get(code, 'unknown reason')}"
         return DeviceRefused(f"{why}; is it another device?" if function in LOOKS and code in NOT_THERE else why)
 
     async def _nonsense(self, what: str, answer: ModbusPDU) -> ProtocolError:
@@ -202,12 +202,12 @@ class ModbusLink(UnnumberedLink):
 
 
 def read_frame(unit: int, table: RegisterTable, address: int, count: int) -> bytes:
-    """The request on a serial line, as manuals print it."""
+    """Return the request on a serial line, as manuals print it."""
     return _frame(unit, _read(table, address, count)[0])
 
 
 def write_frame(unit: int, table: RegisterTable, address: int, values: Sequence[int], *, many: bool) -> bytes:
-    """The request on a serial line, as manuals print it."""
+    """Return the request on a serial line, as manuals print it."""
     return _frame(unit, _write(table, address, values, many=many)[0])
 
 
@@ -217,13 +217,13 @@ def _frame(unit: int, request: ModbusPDU) -> bytes:
 
 
 def _read(table: RegisterTable, address: int, count: int) -> tuple[ModbusPDU, ModbusPDU]:
-    """Request, and the answer to be filled."""
+    """Return the request, and an empty answer."""
     request, response = READS[table]
     return request(address=address, count=count), response()
 
 
 def _write(table: RegisterTable, address: int, values: Sequence[int], *, many: bool) -> tuple[ModbusPDU, ModbusPDU]:
-    """Request, and the answer to be filled."""
+    """Return the request, and an empty answer."""
     bits = [bool(value) for value in values]
     if table == "coil":
         if many:
@@ -236,6 +236,6 @@ def _write(table: RegisterTable, address: int, values: Sequence[int], *, many: b
 
 
 def _same(answer: ModbusPDU, request: ModbusPDU) -> bool:
-    """The answer to a single write is its echo."""
+    """Whether the answer to a single write is its echo."""
     echo = (answer.address, list(answer.registers), list(answer.bits))
     return echo == (request.address, list(request.registers), list(request.bits))

@@ -1,4 +1,4 @@
-"""A robot whose controller has the whole program before it runs any of it, and is watched meanwhile."""
+"""Base of robots whose controller holds the whole program before it runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from polishd.model.program import Plan, Segment
 
 
 def new_blocks(segments: Sequence[Segment], accepted: int, longest_line: int, name: str) -> list[Segment]:
-    """The blocks that the robot does not have yet. DeviceRefused for a gap, and for a block that is no line (bytes)."""
+    """Return the blocks that the robot does not hold. DeviceRefused for a gap, and for a block that is not one line."""
     if any(segment.seq != segments[0].seq + at for at, segment in enumerate(segments)):
         raise DeviceRefused(f"{name}: blocks are not numbered one by one")
     new = [segment for segment in segments if segment.seq >= accepted]
@@ -39,7 +39,7 @@ class ProgramRobot(ABC, Generic[Tracker]):
     """
 
     longest_line: int
-    """Bytes."""
+    """Longest line of the controller, bytes."""
     stops_anywhere = False
 
     def __init__(self, name: str, times: RobotTimes) -> None:

@@ -23,13 +23,13 @@ from polishd.util.address_claims import Claim
 from polishd.util.wire_recording import tap
 
 WRITE_S = 1.0
-"""A peer, or a line, that takes no bytes for so long is dead."""
+"""Time after which a peer or a line that accepts no bytes is dead."""
 
 
 async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpStream | SerialStream:
-    """Connect; LinkError where nobody answers within that time.
+    """Connect; LinkError without an answer in that time.
 
-    DeviceClaimed where another program on this computer has the address: then nothing is connected.
+    DeviceClaimed if another program on this computer has the address: then nothing is connected.
     """
     claimed = await claim_address(address)
     try:
@@ -42,7 +42,7 @@ async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpSt
 
 
 async def connect_unclaimed(address: Tcp | SerialLine, within_s: float) -> TcpStream | SerialStream:
-    """Connect to what the caller has claimed."""
+    """Connect to an address that the caller has claimed."""
     if isinstance(address, SerialLine):
         return await _open_serial(address, within_s)
     loop = asyncio.get_running_loop()
@@ -57,19 +57,19 @@ async def connect_unclaimed(address: Tcp | SerialLine, within_s: float) -> TcpSt
 
 
 def _why_not_connected(error: OSError) -> str:
-    """What is wrong with the address, and what to do."""
+    """Return the error in the address, and what to do."""
     if isinstance(error, socket.gaierror):
-        return "no host has that name; mend it, or see the name server"
+        return "no host has that name. Correct it, or check the name server."
     match error.errno:
         case errno.ECONNREFUSED:
-            return "nobody listens there; see the port, and whether the device is on"
+            return "the port is closed. Check the port number, and whether the device is on."
         case errno.EHOSTUNREACH | errno.ENETUNREACH:
-            return "no way leads to that host; see the cable and this computer's network"
+            return "no route to that host. Check the cable and this computer's network."
     return str(error)
 
 
 async def _open_serial(address: SerialLine, within_s: float) -> SerialStream:
-    """Open a serial line for ourselves alone; what was received before is dropped."""
+    """Open a serial line exclusively; bytes received before are dropped."""
     make = partial(
         serial.Serial,
         str(address.path),
@@ -88,22 +88,22 @@ async def _open_serial(address: SerialLine, within_s: float) -> SerialStream:
 
 
 def why_closed(error: BaseException, settings: str) -> str:
-    """What is wrong with a serial port that pyserial did not open, and what to do."""
+    """Return why pyserial did not open a serial port, and what to do."""
     cause = error.__context__ if isinstance(error.__context__, termios.error) else error
     match cause.args[0] if cause.args else None:
         case errno.EAGAIN | errno.EBUSY:
-            return "another program has the port open; end it (lsof names it)"
+            return "another program has the port open. End that program (lsof names it)."
         case errno.EACCES | errno.EPERM:
-            return "no permission to open the port; add the user to the group that owns it (often dialout)"
+            return "no permission to open the port. Add the user to the group that owns it (often dialout)."
         case errno.ENOENT | errno.ENXIO | errno.ENODEV:
-            return "there is no such port; plug the adapter in, or mend the path"
+            return "the port does not exist. Plug the adapter in, or correct the path."
         case errno.ENOTTY | errno.EINVAL | errno.EISDIR:
-            return f"it is no serial port, or knows no {settings}; mend the path or the settings"
+            return f"it is not a serial port, or does not support {settings}. Correct the path or the settings."
     return str(error)
 
 
 class ReadBuffer:
-    """The receiving half of a stream: bytes that came and were not read yet, and the reason why no more will come."""
+    """Receiving half of a stream: bytes not read yet, and the reason why no more will arrive."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -113,17 +113,17 @@ class ReadBuffer:
         self._tap = tap(name)
         self._waiter: asyncio.Future[None] | None = None
         self.claimed = Claim()
-        """On the address, until the stream is closed."""
+        """Claim on the address, until the stream is closed."""
 
     def feed(self, data: bytes) -> None:
-        """Bytes came."""
+        """Add received bytes."""
         if self._tap is not None:
             self._tap("in", data)
         self._bytes += data
         self._wake()
 
     def fail(self, reason: str | BaseException) -> None:
-        """No more will come. The first reason counts."""
+        """Mark the stream as failed: no more bytes will arrive. The first reason is kept."""
         if self._failure is None:
             self._cause = reason if isinstance(reason, BaseException) else None
             self._failure = reason = str(reason) or type(reason).__name__
@@ -133,21 +133,21 @@ class ReadBuffer:
 
     @property
     def alive(self) -> bool:
-        """The link has not failed, as far as is known without asking."""
+        """Whether no failure of the link is known."""
         return self._failure is None
 
     def check(self) -> None:
-        """LinkError once the link has failed."""
+        """Raise LinkError once the link has failed."""
         if self._failure is not None:
             raise LinkError(f"{self._name}: {self._failure}") from self._cause
 
     def wrote(self, data: bytes) -> None:
-        """Bytes go out."""
+        """Record sent bytes."""
         if self._tap is not None:
             self._tap("out", data)
 
     async def read(self, at_most: int, within_s: float) -> bytes:
-        """See ByteStream. Bytes that came in time are not lost to a late wake-up."""
+        """See ByteStream. A late wake-up loses no bytes that arrived in time."""
         if not self._bytes and self._failure is None:
             self._waiter = asyncio.get_running_loop().create_future()
             await asyncio.wait({self._waiter}, timeout=within_s)
@@ -164,7 +164,7 @@ class ReadBuffer:
 
 
 class SerialStream(ReadBuffer):
-    """A ByteStream over an open pyserial port, which it owns."""
+    """A ByteStream that owns an open pyserial port."""
 
     def __init__(self, name: str, port: serial.Serial) -> None:
         super().__init__(name)
@@ -225,7 +225,7 @@ class SerialStream(ReadBuffer):
 
 
 class TcpStream(ReadBuffer, asyncio.Protocol):
-    """A ByteStream over TCP. Data that came before the end of file is read before LinkError is raised."""
+    """A ByteStream over TCP. Data received before the end of file is read before LinkError is raised."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -287,7 +287,7 @@ class TcpStream(ReadBuffer, asyncio.Protocol):
 
 
 async def drop_stale(stream: ByteStream) -> None:
-    """Drop what has come: before it is asked it is no answer. A dead link is told by the next write."""
+    """Drop received bytes: they arrived before the request. The next write reports a dead link."""
     with contextlib.suppress(LinkError):
         while True:
             await stream.read(4096, 0.0)

@@ -1,4 +1,4 @@
-"""The robot behind a Universal Robots controller: script up, RTDE for progress and orders, dashboard for the rest."""
+"""Driver of a Universal Robots controller: script upload, RTDE for progress and commands, dashboard for the rest."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ from polishd.drivers.universal_robots.script import (
 )
 from polishd.util.address_claims import Claim
 
-# The dashboard server: a question, an answer, on a connection of their own. It is the way that needs no RTDE.
+# The dashboard server: one request per connection. It works without RTDE.
 
 CONNECT_S = 0.8
 ANSWER_S = 1.0
-"""It lives in the pendant's user interface, which may be busy."""
+"""Longest wait: the server runs in the pendant's user interface, which may be busy."""
 GREETING = b"Connected: Universal Robots Dashboard Server"
 _UNKNOWN = re.compile(r"could not understand|not supported", re.IGNORECASE)
 _YES_OR_NO = re.compile(r"(?:[\w ]+: )?(true|false)", re.IGNORECASE | re.ASCII)
@@ -62,9 +62,9 @@ DASHBOARD_LINE_BYTES = 4096
 
 
 async def ask(address: Tcp, question: str, within_s: float = ANSWER_S) -> str:
-    """Ask once; empty where the controller is too old to know the question.
+    """Send one request; return an empty text if the controller is too old to know it.
 
-    LinkError where nobody answers in time, ProtocolError where another server does, DeviceRefused for a refusal.
+    LinkError without an answer in time, ProtocolError if another server answers, DeviceRefused for a refusal.
     """
     stream = await open_stream(address, CONNECT_S)
     try:
@@ -72,7 +72,7 @@ async def ask(address: Tcp, question: str, within_s: float = ANSWER_S) -> str:
         deadline = time.monotonic() + within_s
         greeting = await lines.next(max(deadline - time.monotonic(), 0.0))
         if not greeting.startswith(GREETING):
-            raise ProtocolError(f"{address}: is no dashboard server: {greeting[:60]!r}")
+            raise ProtocolError(f"{address}: is not a dashboard server: {greeting[:60]!r}")
         await stream.write(question.encode("ascii") + b"\n")
         answer = (await lines.next(max(deadline - time.monotonic(), 0.0))).decode("utf-8", "replace").strip()
     finally:
@@ -81,7 +81,7 @@ async def ask(address: Tcp, question: str, within_s: float = ANSWER_S) -> str:
 
 
 def read(answer: str, question: str, name: str) -> str:
-    """What an answer says; empty for a question that is not known, DeviceRefused for an order that failed."""
+    """Parse an answer; empty for an unknown request, DeviceRefused for a failed command."""
     if _UNKNOWN.search(answer):
         return ""
     if answer.lower().startswith(("failed to execute", "error")):
@@ -90,7 +90,7 @@ def read(answer: str, question: str, name: str) -> str:
 
 
 def yes(answer: str) -> bool:
-    """``true``, ``Program running: true``. ProtocolError where it is neither true nor false."""
+    """Parse ``true`` or ``Program running: true``. ProtocolError if it is neither true nor false."""
     found = _YES_OR_NO.fullmatch(answer)
     if found is None:
         raise ProtocolError(f"dashboard: {answer[:60]!r} is neither true nor false")
@@ -98,30 +98,30 @@ def yes(answer: str) -> bool:
 
 
 async def in_remote_control(address: Tcp) -> bool:
-    """Whether it takes programs over the network. Controllers without that mode (CB3) always do."""
+    """Whether the controller accepts programs over the network. Controllers without that mode (CB3) always do."""
     answer = await ask(address, "is in remote control")
     return not answer or yes(answer)
 
 
 async def stop(address: Tcp, within_s: float) -> None:
-    """Stop whatever runs, and see by its own word that nothing does. DeviceFault where that goes on."""
-    with contextlib.suppress(DeviceRefused):  # it says so where nothing runs, too: what counts is whether anything does
+    """Stop any program and confirm that none runs. DeviceFault if one still runs."""
+    with contextlib.suppress(DeviceRefused):  # also refused if no program runs: the state decides
         await ask(address, "stop", within_s)
     answer = await ask(address, "running", within_s)
     if not answer:
-        raise LinkError(f"{address}: does not say whether a program runs")
+        raise LinkError(f"{address}: does not report whether a program runs")
     if yes(answer):
-        raise DeviceFault(f"{address}: the program goes on running after stop")
+        raise DeviceFault(f"{address}: the program still runs after stop")
 
 
-# The primary client interface: scripts go up as text, and what the controller has to complain of comes back.
+# The primary client interface: it accepts scripts as text and sends the controller's error messages.
 
 CONNECT_S = 0.8
 PRIMARY_PACKET_BYTES = 1 << 20
 BYTES_S, PIECE = 1e6, 1 << 16
-"""A slow controller takes so many bytes a second."""
+"""Upload rate of a slow controller, bytes/s."""
 QUIET_S = 5.0
-"""It tells its state ten times a second."""
+"""The interface sends its state ten times a second."""
 _HEAD = struct.Struct(">iB")
 _MESSAGE = struct.Struct(">QbB")
 _WHERE = struct.Struct(">ii")
@@ -130,21 +130,21 @@ ROBOT_MESSAGE, RUNTIME_EXCEPTION = 20, 10
 
 @dataclass(frozen=True, slots=True)
 class ControllerMessage:
-    """Why a script does not run."""
+    """Reason why a script does not run."""
 
     line: int
-    """1-based, of the script; 0 where it does not say."""
+    """Line of the script, 1-based; 0 if unknown."""
     text: str
 
 
 class MessageReader:
-    """Cuts the stream into messages and keeps the complaints."""
+    """Splits the stream into messages and keeps the errors."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
     def feed(self, data: bytes) -> Iterator[ControllerMessage]:
-        """The complaints in what is complete. ProtocolError where a length cannot be."""
+        """Add bytes; yield the errors in complete messages. ProtocolError for an impossible length."""
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
             size, kind = _HEAD.unpack_from(self._bytes)
@@ -167,14 +167,14 @@ def _complaint(payload: bytes) -> ControllerMessage | None:
 
 
 class ScriptUpload(Background):
-    """One script on its way; as a context it is sent, and listened to for complaints."""
+    """Upload of a script; as a context it sends the script and receives errors."""
 
     def __init__(self, address: Tcp, script: bytes) -> None:
         super().__init__(str(address))
         self._address = address
         self._script = script
         self.complaint: ControllerMessage | None = None
-        """The first one."""
+        """The first error."""
 
     async def __aenter__(self) -> Self:
         await self.start(self._run, CONNECT_S + len(self._script) / BYTES_S)
@@ -198,14 +198,14 @@ class ScriptUpload(Background):
 
 
 LOAD_S, LOAD_LINE_S = 5.0, 5e-4
-"""A script begins so long after it was sent, at most."""
+"""Longest time from sending a script to its start."""
 SOFT_SHARE = 0.5
-"""Of the time for a stop, for the program to stop itself; then the dashboard stops it."""
+"""Share of the stop time for the program to stop itself; then the dashboard stops it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Addresses:
-    """The three servers of one controller that are used."""
+    """Addresses of the three servers of one controller."""
 
     rtde: Tcp
     dashboard: Tcp
@@ -213,14 +213,14 @@ class Addresses:
 
     @classmethod
     def of(cls, host: str, rtde: int = 30004, dashboard: int = 29999, primary: int = 30001) -> Addresses:
-        """On one host."""
+        """Return the addresses on one host."""
         return cls(Tcp(host, rtde), Tcp(host, dashboard), Tcp(host, primary))
 
 
 class UniversalRobot(ProgramRobot[UrProgramTracker]):
-    """A Robot over RTDE. A lost link stays lost until ``open``; nothing but ``make_safe`` connects by itself.
+    """A Robot over RTDE. A lost link stays lost until ``open``; only ``make_safe`` reconnects.
 
-    Never switches the robot on, releases no brake and unlocks no stop: that is for the operator, who stands there.
+    It never switches the robot on, releases a brake or unlocks a stop: the operator does that at the robot.
     """
 
     longest_line = LONGEST_LINE
@@ -232,7 +232,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         self._settings = settings
         self._link = RtdeConnection(addresses.rtde, rate_hz, settings.registers, times.silence_s, self._seen)
         self._claimed: list[Claim] = []
-        """On all of the controller's servers: those that are asked once are connected for that alone."""
+        """Claims on all servers of the controller; the dashboard is connected for each request only."""
 
     @property
     def _connection(self) -> RtdeConnection:
@@ -240,11 +240,11 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
 
     @property
     def buffer_s(self) -> float:
-        """See ProgramRobot. The program counts as there from when its script is sent."""
+        """See ProgramRobot. The program counts as loaded once its script is sent."""
         return super().buffer_s if self._tracker is not None and self._tracker.token else 0.0
 
     async def open(self) -> None:
-        """See Device. Gives no new order. What ran when the link was lost is followed further."""
+        """See Device. Sends no new command. Continues to track a program that ran when the link was lost."""
         await self.close()
         self._stay()
         try:
@@ -263,14 +263,14 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
             one.release()
 
     async def identify(self) -> DeviceIdentity:
-        """See Device. Controllers from before 3.12 know neither model nor serial number."""
+        """See Device. Controllers before 3.12 report neither model nor serial number."""
         self._link.check()
         model = await ask(self._addresses.dashboard, "get robot model")
         serial = await ask(self._addresses.dashboard, "get serial number")
         return DeviceIdentity("Universal Robots", model or "UR", serial or "unknown", self._link.controller)
 
     async def status(self) -> DeviceStatus:
-        """See Device. Ready: it would take a program and run it as written. Safe: nothing runs and it stands."""
+        """See Device. Ready: it would run a program as written. Safe: no program runs, and standstill."""
         sample = self._link.last
         why = sample.obstacle() or await self._not_remote()
         state = (
@@ -281,27 +281,27 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         return DeviceStatus(ready=not why, safe=self._link.stands, state=state, detail=why)
 
     async def hold(self) -> None:
-        """See Robot. The program brakes along the path and ends; ``resume`` continues it from where it stands."""
+        """See Robot. The program brakes along the path and ends; ``resume`` continues from there."""
         self._link.check()
         self._stay()
         await self._stop()
 
     async def lift(self, distance_mm: float) -> None:
-        """See Robot. Out of the motion, by a branch of our own program: so there must be one under way."""
+        """See Robot. A branch of our running program lifts out of the motion: so a program must run."""
         link, tracker = self._link, self._tracker
         if tracker is None or not self._hears(link.last):
-            raise DeviceRefused(f"{self._name}: no program of ours is under way that could lift")
+            raise DeviceRefused(f"{self._name}: no program of polishd runs that could lift")
         self._stay()
         await link.tell(ScriptInputs(tracker.token, tracker.until, ScriptCommand.LIFT, round(distance_mm * 1000.0)))
         await link.until(lambda: not self._hears(link.last) and link.last.phase != ScriptPhase.ENDS, self._times.stop_s)
         tracker.drop("lifted off the path")
         if link.last.phase != ScriptPhase.LIFTED:
-            raise DeviceFault(f"{self._name}: the robot does not lift: {link.last.obstacle() or 'no reason is told'}")
+            raise DeviceFault(f"{self._name}: the robot does not lift: {link.last.obstacle() or 'unknown reason'}")
         await link.standstill("the lift", self._times.stop_s)
 
     async def _clear(self) -> None:
         if why := self._link.last.obstacle() or await self._not_remote():
-            raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again")
+            raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again.")
         await self._stop()
 
     def _track(self, plan: Plan, blocks: int) -> UrProgramTracker:
@@ -311,7 +311,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         return not tracker.live
 
     async def _load(self, plan: Plan, tracker: UrProgramTracker) -> None:
-        """Send what is left of the program, and see that it waits. DeviceRefused where it cannot be followed."""
+        """Send the rest of the program and wait until it is ready. DeviceRefused if it cannot be tracked."""
         del plan
         blocks = blocks_of(self._lines)
         token = secrets.randbelow((1 << 31) - 1) + 1
@@ -328,18 +328,18 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
             taken = await self._link.until(is_answered, within_s)
         if upload.complaint is not None:
             where, text = script.names(upload.complaint.line), upload.complaint.text
-            raise DeviceRefused(f"{self._name}: the controller does not take {where}: {text}")
+            raise DeviceRefused(f"{self._name}: the controller refuses {where}: {text}")
         if not taken:
             raise DeviceRefused(f"{self._name}: the controller did not start the script within {within_s:g} s")
 
     async def _run(self, tracker: UrProgramTracker, wanted: IsWanted) -> None:
-        """To the target."""
+        """Run to the target."""
         if wanted(self._link.last.time_s):
             tracker.until = tracker.blocks if self._target is None else self._target
             await self._link.tell(ScriptInputs(tracker.token, tracker.until))
 
     async def _stop(self) -> None:
-        """A program of the driver by its own command, any other by the dashboard."""
+        """Stop a program of the driver by its command, any other by the dashboard."""
         link, tracker, stop_s = self._link, self._tracker, self._times.stop_s
         if tracker is not None and self._hears(link.last):
             await link.tell(ScriptInputs(tracker.token, 0, ScriptCommand.STOP))
@@ -352,7 +352,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         await stop(self._addresses.dashboard, self._times.stop_s)
 
     async def _seen(self, sample: RtdeSample) -> None:
-        """Record what the controller does; a program that is over gets no more heartbeats."""
+        """Record the controller's state; a program that has ended gets no more heartbeats."""
         tracker = self._tracker
         if tracker is None:
             return
@@ -361,7 +361,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
             self._link.orders = None
 
     def _hears(self, sample: RtdeSample) -> bool:
-        """The program of the driver takes commands."""
+        """Whether the program of the driver accepts commands."""
         ours = self._tracker is not None and sample.token == self._tracker.token and sample.phase in LIVE
         return ours and sample.runtime == UrRuntimeState.PLAYING
 
@@ -370,12 +370,12 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         if why := sample.obstacle():
             return why
         if tracker is not None and tracker.live and sample.runtime in (UrRuntimeState.PAUSING, UrRuntimeState.PAUSED):
-            return "the program is paused at the controller: continue it there, or prepare it anew"
+            return "the program is paused at the controller (continue it there, or prepare it again)"
         return ""
 
     async def _not_remote(self) -> str:
         remote = await in_remote_control(self._addresses.dashboard)
-        return "" if remote else "it is in local control: switch it to remote control at the pendant"
+        return "" if remote else "it is in local control (switch it to remote control at the pendant)"
 
     def _override(self) -> float:
         return self._link.last.override
@@ -395,7 +395,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
 # The device type ``universal_robots``: a robot on a Universal Robots controller (docs/universal-robots.md).
 
 WAY_S = 0.02
-"""Longest that a sample is under way."""
+"""Longest transmission time of a sample."""
 Port = Annotated[int, Field(ge=1, le=65535)]
 
 
@@ -403,23 +403,23 @@ class UniversalRobotsOptions(ConfigSection):
     """Keys of ``[robot]`` with ``type = "universal_robots"``."""
 
     address: str
-    """RTDE of the controller: ``tcp://host:30004``."""
+    """RTDE address of the controller: ``tcp://host:30004``."""
     dashboard_port: Port = 29999
     """TCP port of its dashboard server. [1]"""
     primary_port: Port = 30001
-    """TCP port of its primary client interface, which takes scripts. [1]"""
+    """TCP port of its primary client interface, which accepts scripts. [1]"""
     rate_hz: Annotated[float, Field(ge=10.0, le=500.0)] = 125.0
-    """How often the controller tells where it is: a block's end is known to one period. e-Series: up to 500. [Hz]"""
+    """Rate of the controller's samples: a block's end is known to one period. e-Series: up to 500. [Hz]"""
     first_register: Annotated[int, Field(ge=0, le=43)] = 24
-    """Of the controller's integer registers, five inputs and four outputs from here on are polishd's. [1]"""
+    """First of polishd's integer registers in the controller: five inputs and four outputs. [1]"""
     tool_z: Literal["into_part", "out_of_part"] = "into_part"
-    """Where the tool frame's z points: a lift goes the other way. As in the program's dialect."""
+    """Direction of the tool frame's z, as in the program's dialect; a lift goes the opposite way."""
     watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
-    """So long without a word from us the controller stops the program."""
+    """The controller's watchdog: after this time without a message from polishd it stops the program."""
     silence_s: Annotated[float, Field(ge=0.3, le=60.0)] = 1.0
-    """No sample for so long: the link is lost, and contact is left."""
+    """Longest time without a sample; then the link is lost and contact is left."""
     stop_s: Annotated[float, Field(gt=0.0, le=60.0)] = 5.0
-    """Longest that it takes to stop, or to lift the tool off."""
+    """Longest time to stop, or to lift the tool off."""
 
 
 def _build(options: UniversalRobotsOptions, context: DeviceContext) -> UniversalRobot:
@@ -432,7 +432,7 @@ def _build(options: UniversalRobotsOptions, context: DeviceContext) -> Universal
 
 
 def _takes(blocks: Sequence[bytes]) -> str:
-    """URScript is its only language."""
+    """Return why the controller cannot run the blocks: it runs only URScript."""
     try:
         blocks_of(blocks)
     except DeviceRefused as refusal:

@@ -1,4 +1,4 @@
-"""RTDE packages, protocol version 2. Sans-IO: bytes in, packages out; what is malformed is never taken for a value."""
+"""RTDE packages, protocol version 2. Sans-IO: bytes in, packages out; malformed data never becomes a value."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ FORMATS = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
     "VECTOR3D": "3d", "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I",
 }  # fmt: skip
-"""How the values of each type are packed, big endian."""
+"""Big-endian format of each type."""
 
 Value = tuple[float, ...]
 
 
 class PackageType(IntEnum):
-    """What a package is."""
+    """Type of a package."""
 
     VERSION = ord("V")
     CONTROLLER = ord("v")
@@ -42,38 +42,38 @@ class PackageType(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Package:
-    """One package. Its kind may be one that we do not know."""
+    """One package. Its type may be unknown."""
 
     kind: int
     payload: bytes
 
 
 def encode(kind: PackageType, payload: bytes = b"") -> bytes:
-    """A package's bytes."""
+    """Return the bytes of a package."""
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
 def ask_outputs(rate_hz: float, names: Sequence[str]) -> bytes:
-    """Ask for these outputs, so often."""
+    """Return the request for these outputs at that rate."""
     return encode(PackageType.OUTPUTS, struct.pack(">d", rate_hz) + ",".join(names).encode("ascii"))
 
 
 def ask_inputs(names: Sequence[str]) -> bytes:
-    """Ask to write these inputs."""
+    """Return the request to write these inputs."""
     return encode(PackageType.INPUTS, ",".join(names).encode("ascii"))
 
 
 class PackageReader:
-    """Cuts a stream into packages, however it is dribbled.
+    """Splits a stream into packages.
 
-    There is no check and no mark to begin again at: a length that cannot be is the end of the link.
+    Packages have no checksum and no start mark: an impossible length ends the link.
     """
 
     def __init__(self) -> None:
         self._bytes = bytearray()
 
     def feed(self, data: bytes) -> Iterator[Package]:
-        """The packages that are complete. ProtocolError where a length is shorter than its own header."""
+        """Add bytes; yield the complete packages. ProtocolError if a length is shorter than the header."""
         self._bytes += data
         while len(self._bytes) >= _HEAD.size:
             size, kind = _HEAD.unpack_from(self._bytes)
@@ -88,7 +88,7 @@ class PackageReader:
 
 @dataclass(frozen=True, slots=True)
 class RtdeRecipe:
-    """What a data package holds: the names that were asked for, and their types."""
+    """Content of a data package: the requested names, and their types."""
 
     number: int
     names: tuple[str, ...]
@@ -96,33 +96,33 @@ class RtdeRecipe:
 
     @classmethod
     def answered(cls, names: Sequence[str], payload: bytes, what: str) -> RtdeRecipe:
-        """Read the answer to a setup.
+        """Parse the answer to a setup.
 
-        DeviceRefused where a name is not known, DeviceBusy where somebody else writes one, ProtocolError for nonsense.
+        DeviceRefused for an unknown name, DeviceBusy if another client writes one, ProtocolError for invalid data.
         """
         types = _text(payload[1:]).rstrip(",").split(",")
         if not payload or len(types) != len(names):
-            raise ProtocolError(f"RTDE: {len(names)} {what} were asked for, {len(types)} answered")
+            raise ProtocolError(f"RTDE: {len(names)} {what} were requested, {len(types)} answered")
         for name, kind in zip(names, types, strict=True):
             if kind == "IN_USE":
-                raise DeviceBusy(f"RTDE: {name} is written by another client. To do: stop that, or set first_register")
+                raise DeviceBusy(f"RTDE: {name} is written by another client. Stop it, or set first_register.")
             if kind == "NOT_FOUND":
-                raise DeviceRefused(f"RTDE: the controller has no {name}. To do: update its software")
+                raise DeviceRefused(f"RTDE: the controller has no {name}. Update its software.")
             if kind not in FORMATS:
                 raise ProtocolError(f"RTDE: {name} is of the unknown type {kind!r}")
         if payload[0] == 0:
-            raise DeviceRefused(f"RTDE: the controller takes no setup of {what}")
+            raise DeviceRefused(f"RTDE: the controller refuses a setup of {what}")
         return cls(payload[0], tuple(names), tuple(types))
 
     def pack(self, values: Mapping[str, int]) -> bytes:
-        """A data package with a number for each name."""
+        """Return a data package with a number for each name."""
         body = struct.pack(">" + self._format, *(values[name] for name in self.names))
         return encode(PackageType.DATA, bytes([self.number]) + body)
 
     def unpack(self, payload: bytes) -> dict[str, Value] | None:
-        """The values of a data package by name; None for another recipe's.
+        """Return the values of a data package by name; None for another recipe's.
 
-        ProtocolError for one of another length, or with a number that is none.
+        ProtocolError for a wrong length, or a NaN.
         """
         if payload[:1] != bytes([self.number]):
             return None
@@ -131,7 +131,7 @@ class RtdeRecipe:
             raise ProtocolError(f"RTDE: a data package of {len(payload)} bytes, not {1 + form.size}")
         flat = form.unpack(payload[1:])
         if not all(map(math.isfinite, flat)):
-            raise ProtocolError("RTDE: a value that is no number")
+            raise ProtocolError("RTDE: a value is not a number")
         values, at = {}, 0
         for name, kind in zip(self.names, self.types, strict=True):
             count = int(FORMATS[kind][:-1] or 1)
@@ -145,14 +145,14 @@ class RtdeRecipe:
 
 
 def accepted(payload: bytes) -> bool:
-    """The answer to a version, a start or a pause. ProtocolError for nonsense."""
+    """Parse the answer to a version, a start or a pause. ProtocolError for invalid data."""
     if payload not in (b"\0", b"\1"):
         raise ProtocolError(f"RTDE: an answer of {payload[:8]!r}")
     return payload == b"\1"
 
 
 def controller_of(payload: bytes) -> str:
-    """The controller's software, ``5.11.0.0``. ProtocolError for nonsense."""
+    """Parse the controller's software version, ``5.11.0.0``. ProtocolError for invalid data."""
     if len(payload) != 16:
         raise ProtocolError(f"RTDE: a version of {len(payload)} bytes")
     return ".".join(map(str, struct.unpack(">4I", payload)))
@@ -162,12 +162,12 @@ def _text(data: bytes) -> str:
     return data.decode("ascii", "replace")
 
 
-# What a controller tells of itself in one RTDE sample, and why it would run nothing. Sans-IO.
+# State of the controller in one RTDE sample, and obstacles to a program. Sans-IO.
 
 STILL_M_S = 1e-5
-"""A tool that stands is meant to have no speed at all."""
+"""Speed limit of standstill: the commanded speed of a standing tool is 0."""
 FULL, MOST = 0.999, 1.001
-"""Of the speed slider: 1, but for rounding."""
+"""Tolerance of the speed slider's value 1."""
 
 
 class UrRuntimeState(IntEnum):
@@ -182,7 +182,7 @@ class UrRuntimeState(IntEnum):
 
 
 class ScriptPhase(IntEnum):
-    """What our own program does, by its own word."""
+    """Phase that our program reports."""
 
     NONE = 0
     WAITS = 1
@@ -191,13 +191,13 @@ class ScriptPhase(IntEnum):
     LIFTED = 4
     DONE = 5
     ENDS = 6
-    """It brakes, or lifts."""
+    """The program brakes or lifts."""
 
 
 ROBOT_MODES = {
     -1: "the controller is not up", 0: "it is disconnected", 1: "its safety configuration waits to be confirmed",
     2: "it is booting", 3: "it is switched off", 4: "it is on, its brakes are not released",
-    5: "its brakes are not released", 6: "somebody moves it by hand (backdrive)", 8: "its firmware is being updated",
+    5: "its brakes are not released", 6: "it is moved by hand (backdrive)", 8: "its firmware is being updated",
 }  # fmt: skip
 """``robot_mode`` other than 7, running."""
 SAFETY_MODES = {
@@ -215,7 +215,7 @@ RUNNING, NORMAL = 7, 1
 
 @dataclass(frozen=True, slots=True)
 class UrRegisters:
-    """Which of the controller's integer registers are ours: five inputs and four outputs from ``first`` on."""
+    """polishd's integer registers in the controller: five inputs and four outputs from ``first`` on."""
 
     first: int = 24
 
@@ -230,29 +230,29 @@ class UrRegisters:
 
 @dataclass(frozen=True, slots=True)
 class RtdeSample:
-    """One sample. Times are the controller's own clock, since it was switched on."""
+    """One sample. Times are on the controller's clock, since it was switched on."""
 
     time_s: float
     runtime: int
     robot_mode: int
     safety_mode: int
     slider: float
-    """Speed slider, 1 is all."""
+    """Speed slider, 1: full speed."""
     scaling: float
     """Scaling of the trajectory limiter, 1: none."""
     speed_m_s: float
-    """Of the tool, as it is meant to be: without the noise of encoders."""
+    """Commanded speed of the tool, without encoder noise."""
     token: int
-    """Of the program that spoke last."""
+    """Token of the program that reported last."""
     block: int
-    """Block of it that is under way."""
+    """Its present block."""
     phase: int
     turns: int
-    """Grows with each period in which our program runs."""
+    """Counts the periods in which our program runs."""
 
     @classmethod
     def of(cls, values: Mapping[str, Value], registers: UrRegisters) -> RtdeSample:
-        """From a data package's values. ProtocolError where the speed slider or the scaling is where it cannot be."""
+        """Build a sample from a data package. ProtocolError if speed slider or scaling is out of range."""
         one = {name: value[0] for name, value in values.items()}
         if not 0.0 <= one["target_speed_fraction"] <= MOST:
             raise ProtocolError(f"RTDE: a speed slider at {100.0 * one['target_speed_fraction']:.3g} %, of 0 to 100 %")
@@ -275,26 +275,26 @@ class RtdeSample:
 
     @property
     def override(self) -> float:
-        """Fraction of the programmed speed: the speed slider, times the trajectory limiter's scaling in motion."""
+        """Fraction of the programmed speed: the speed slider times the trajectory limiter's scaling in motion."""
         return self.slider * (self.scaling if self.runtime == UrRuntimeState.PLAYING else 1.0)
 
     @property
     def plays(self) -> bool:
-        """A program of anybody's is under way, or the robot moves."""
+        """Whether any program runs, or the robot moves."""
         return self.runtime not in (UrRuntimeState.STOPPED, UrRuntimeState.PAUSED) or self.speed_m_s > STILL_M_S
 
     def obstacle(self) -> str:
-        """Why it would not run a program as it is written; empty where it would."""
+        """Return why the controller would not run a program as written; empty if it would."""
         if self.robot_mode != RUNNING:
             return ROBOT_MODES.get(self.robot_mode, f"robot mode {self.robot_mode}")
         if self.safety_mode != NORMAL:
             return SAFETY_MODES.get(self.safety_mode, f"safety mode {self.safety_mode}")
         if self.slider < FULL:
-            return f"its speed slider is at {100.0 * self.slider:.5g} %: set it to 100 %"
+            return f"its speed slider is at {100.0 * self.slider:.5g} % (set it to 100 %)"
         return ""
 
 
-# The RTDE connection: samples in, orders and heartbeats out.
+# The RTDE connection: samples in, commands and heartbeats out.
 
 CONNECT_S = 0.8
 OPEN_S = 2.0
@@ -302,7 +302,7 @@ BEAT_S = 0.1
 
 
 class ScriptCommand(IntEnum):
-    """What a program that runs is told."""
+    """Command to a running program."""
 
     GO = 0
     STOP = 1
@@ -311,17 +311,17 @@ class ScriptCommand(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ScriptInputs:
-    """All that a running program hears. One whose token it is not acts on none of it."""
+    """Inputs of a running program. A program with another token ignores them."""
 
     token: int = 0
     until: int = 0
-    """Blocks below it may begin."""
+    """Blocks below this one may begin."""
     order: ScriptCommand = ScriptCommand.GO
     lift_um: int = 0
 
 
 class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
-    """RTDE of one controller: it sends the samples, and gets the commands with each heartbeat."""
+    """RTDE connection of one controller: receives samples, and sends commands with each heartbeat."""
 
     def __init__(
         self,
@@ -342,7 +342,7 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
         self.orders: ScriptInputs | None = None
         """Sent with each heartbeat; None: no heartbeat is sent, and the program stops."""
         self.controller = ""
-        """Its software."""
+        """Software version of the controller."""
 
     async def _connect(self) -> ByteStream:
         return await open_stream(self._address, CONNECT_S)
@@ -354,7 +354,7 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
         return not any(sample.plays for sample in recent)
 
     async def tell(self, orders: ScriptInputs | None) -> None:
-        """Send it now, and with each heartbeat from now on."""
+        """Send the inputs now, and with each later heartbeat."""
         self.orders = orders
         await self._say()
 
@@ -366,7 +366,7 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
     async def _set_up(self, packages: AsyncIterator[Package]) -> None:
         version = await self._ask(packages, encode(PackageType.VERSION, PROTOCOL.to_bytes(2)))
         if not accepted(version):
-            raise DeviceRefused(f"{self._address}: RTDE does not speak version {PROTOCOL}. To do: update it")
+            raise DeviceRefused(f"{self._address}: RTDE does not support version {PROTOCOL}. Update the controller.")
         self.controller = controller_of(await self._ask(packages, encode(PackageType.CONTROLLER)))
         outputs, inputs = (*OUTPUTS, *self._registers.outputs()), self._registers.inputs()
         answer = await self._ask(packages, ask_outputs(self._rate_hz, outputs))
@@ -376,7 +376,7 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
             raise DeviceRefused(f"{self._address}: RTDE does not start")
 
     async def _ask(self, packages: AsyncIterator[Package], question: bytes) -> bytes:
-        """The payload of the answer, which is of the question's own kind."""
+        """Send a request; return the payload of the answer of the same type."""
         await self._write(question)
         async for package in packages:
             if package.kind == question[2]:
@@ -384,15 +384,15 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
         raise LinkError(f"{self._address}: has ended")
 
     async def _packages(self, link: ByteStream) -> AsyncIterator[Package]:
-        """Packages as they come, texts left out; LinkError after silence."""
+        """Yield packages except texts; LinkError after silence."""
         reader, heard_s = PackageReader(), time.monotonic()
         while True:
             for package in reader.feed(await link.read(1 << 16, self._silence_s)):
                 heard_s = time.monotonic()
                 if package.kind != PackageType.TEXT:
                     yield package
-            if time.monotonic() - heard_s > self._silence_s:  # a wrong length waits for what never comes
-                raise LinkError(f"{self._address}: no whole package for {self._silence_s:.2g} s")
+            if time.monotonic() - heard_s > self._silence_s:  # a wrong length would wait without end
+                raise LinkError(f"{self._address}: no complete package for {self._silence_s:.2g} s")
 
     async def _snapshots(self, link: ByteStream) -> AsyncIterator[RtdeSample]:
         packages = self._packages(link)
@@ -407,7 +407,7 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
             heard_s = time.monotonic()
             sample = RtdeSample.of(values, self._registers)
             if self._recent and sample.time_s <= self._recent[-1].time_s:
-                raise ProtocolError(f"{self._address}: its clock goes back")
+                raise ProtocolError(f"{self._address}: the controller's clock went backward")
             yield sample
 
     async def _feed(self) -> None:

@@ -1,7 +1,7 @@
-"""The program as the controller runs it: the plan's lines in a thread, told where they are, and watched over.
+"""URScript program for the controller: the plan's lines run in a thread that reports its block and is supervised.
 
-The lines themselves are not changed. Before each that moves or waits stands a word that says so in a register, and that
-stands still where it is not wanted yet (docs/protocols/universal_robots.md).
+The lines themselves are unchanged. A call before each line that moves or waits writes its block to a register, and
+waits if the block may not begin yet (docs/protocols/universal_robots.md).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ARC = re.compile(rb"\s*movec\s*\(")
 _HEAD = """def polishd():
   write_output_integer_register({block}, {start})
   write_output_integer_register({phase}, {waits})
-  write_output_integer_register({told}, {token})
+  write_output_integer_register({reported}, {token})
   global polishd_over = False
   def polishd_at(seq):
     if read_input_integer_register({token_in}) != {token} or read_input_integer_register({until}) <= seq:
@@ -106,17 +106,17 @@ class ScriptLine:
     acts: bool
     """It moves or waits; the others take no time."""
     frame: bool
-    """It belongs to the shape of the file (``def``, ``end``, a call), and not to what is run."""
+    """Whether the line is structure of the file (``def``, ``end``, a call) that is not run."""
 
     @property
     def dwell_s(self) -> float | None:
-        """Seconds that it waits; None for what does not wait."""
+        """Waiting time, s; None for a line that does not wait."""
         match = _DWELLS.match(self.text) if self.acts else None
         return float(match[2]) if match else None
 
 
 def blocks_of(lines: Sequence[bytes]) -> list[ScriptLine]:
-    """What each line is. DeviceRefused for what cannot be told where it is: loops, branches, threads."""
+    """Classify each line. DeviceRefused for lines whose position cannot be tracked: loops, branches, threads."""
     found: list[ScriptLine] = []
     opened, moving = "", _moving(lines)
     for seq, line in enumerate(lines):
@@ -132,12 +132,12 @@ def blocks_of(lines: Sequence[bytes]) -> list[ScriptLine]:
         found.append(ScriptLine(line, not frame and _ACTS.match(line) is not None, frame))
         opened = "" if ends else opened
     if not any(block.acts for block in found):
-        raise DeviceRefused("no line of the program moves or waits in URScript: look at [program] format")
+        raise DeviceRefused("no line of the program moves or waits in URScript. Check [program] format.")
     return found
 
 
 def _moving(lines: Sequence[bytes]) -> str:
-    """Name of the routine that moves; empty where the lines stand in none."""
+    """Return the name of the routine that moves; empty if the lines are in none."""
     opened = ""
     for line in lines:
         begin = _BEGIN.match(line)
@@ -152,27 +152,27 @@ def _moving(lines: Sequence[bytes]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class UrScript:
-    """A program ready to be sent, from one of its blocks on."""
+    """A script to send, from one of the program's blocks on."""
 
     token: int
     text: bytes
     block_of: list[int] = field(repr=False)
-    """Of each line of the text, 0-based; -1 for lines of our own."""
+    """Block of each line of the text, 0-based; -1 for added lines."""
 
     def names(self, line: int) -> str:
-        """Where a 1-based line of the text stands in the program, for messages."""
+        """Return the name of a 1-based line of the text in the program, for messages."""
         block = self.block_of[line - 1] if 0 < line <= len(self.block_of) else -1
-        return f"block {block}" if block >= 0 else f"line {line} of what polishd adds"
+        return f"block {block}" if block >= 0 else f"line {line}, which polishd adds"
 
 
 def assemble(blocks: Sequence[ScriptLine], start: int, spent_s: float, token: int, settings: Settings) -> UrScript:
-    """The script for the blocks from ``start`` on, the first of which has waited ``spent_s`` already.
+    """Build the script for the blocks from ``start`` on, of which the first has waited ``spent_s``.
 
-    What stands before and takes no time is said again: it may be a tool or a position that the rest needs.
-    DeviceRefused inside an arc: only its end and one point of it are known.
+    Earlier lines that take no time are repeated: they may set a tool or a position that the rest needs.
+    DeviceRefused inside an arc: only its end and one of its points are known.
     """
     if 0 < start < len(blocks) and spent_s > 0.0 and _ARC.match(blocks[start].text):
-        raise DeviceRefused(f"block {start}: an arc cannot be gone on with from within")
+        raise DeviceRefused(f"block {start}: an arc cannot be continued from within")
     words = _words(start, len(blocks), token, settings)
     lines = _HEAD.format(**words).encode().splitlines()
     block_of = [-1] * len(lines)
@@ -189,7 +189,7 @@ def assemble(blocks: Sequence[ScriptLine], start: int, spent_s: float, token: in
 
 
 def _rest(block: ScriptLine, spent_s: float) -> bytes:
-    """The line; of a dwell, what is left of it."""
+    """Return the line; of a dwell, its rest."""
     match = _DWELLS.match(block.text)
     if match is None or not spent_s:
         return block.text.strip()
@@ -199,7 +199,7 @@ def _rest(block: ScriptLine, spent_s: float) -> bytes:
 def _words(start: int, blocks: int, token: int, settings: Settings) -> dict[str, object]:
     first = settings.registers.first
     inputs = dict(zip(("beat", "token_in", "until", "order", "lift"), range(first, first + 5), strict=True))
-    outputs = dict(zip(("told", "block", "phase", "turns"), range(first, first + 4), strict=True))
+    outputs = dict(zip(("reported", "block", "phase", "turns"), range(first, first + 4), strict=True))
     phases = {phase.name.lower(): int(phase) for phase in ScriptPhase}
     return {
         **inputs,
@@ -216,51 +216,51 @@ def _words(start: int, blocks: int, token: int, settings: Settings) -> dict[str,
     }
 
 
-# How far the controller is in our program, and when it did what. Sans-IO: samples in, records out.
+# Progress of the controller in our program. Sans-IO: samples in, records of blocks out.
 
 START_S = 5.0
-"""So long after its order it may stand yet: our own clock, since samples from before it may come late."""
+"""Time that may pass with standstill after a command, on our clock, since earlier samples may arrive late."""
 SILENT_S = 0.1
-"""A program that has not run for so long is not there any more, whatever its registers say; the same clock."""
+"""Time without running after which a program is gone, whatever its registers report; the same clock."""
 LIVE = (ScriptPhase.WAITS, ScriptPhase.RUNS)
 
 
 class UrProgramTracker(ProgramTracker):
-    """One program from its load to its end.
+    """Tracker of one program from its load to its end.
 
-    A block ends when a sample names a later one; so each boundary is known to one sample, and none is lost between two
-    blocks. What two samples in a row say is booked, so that one damaged number does not count blocks that nobody ran.
+    A block ends when a sample names a later one, so each boundary is known to one sample, without gaps. A block counts
+    only after two equal samples, so that one damaged number does not count blocks that were not executed.
     """
 
     def __init__(self, plan: Plan, blocks: int, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__(plan, blocks)
         self.token = 0
-        """Of the script that was sent last."""
+        """Token of the script that was sent last."""
         self.live = False
-        """That script waits or runs on the controller."""
+        """Whether that script waits or runs on the controller."""
         self.until = 0
-        """Blocks below it may begin."""
+        """Blocks below this one may begin."""
         self._moves = np.zeros(0, dtype=bool)
         self._dwells = np.zeros(0, dtype=bool)
         self._dwell_s = np.zeros(0)
         self._now_s = now_s
         self._ordered_s = 0.0
         self._turned_s = 0.0
-        """When the program ran last."""
+        """Time at which the program ran last."""
         self._last: RtdeSample | None = None
 
     @property
     def spent_s(self) -> float:
-        """Process time that the block under way has had."""
+        """Process time of the present block so far."""
         return self.clock_s - self.began_s
 
     @property
     def heard(self) -> bool:
-        """The script that was sent last has spoken."""
+        """Whether the script that was sent last has reported."""
         return self._last is not None
 
     def sent(self, token: int, blocks: Sequence[ScriptLine]) -> None:
-        """A script with that token is on its way; it will wait before its first block."""
+        """Record that a script with that token was sent; it waits before its first block."""
         self.token, self.until, self._last, self.live = token, 0, None, False
         self._dwells = np.array([block.dwell_s is not None for block in blocks], dtype=bool)
         self._moves = np.array([block.acts for block in blocks], dtype=bool) & ~self._dwells
@@ -272,17 +272,17 @@ class UrProgramTracker(ProgramTracker):
         self._ordered_s = self._now_s()
 
     def drop(self, reason: str) -> None:
-        """It will not be gone on with."""
+        """End the program: it will not be continued."""
         super().drop(reason)
         self.live = False
 
     def update(self, sample: RtdeSample) -> None:
-        """Take a sample. ProtocolError where what it says cannot be."""
+        """Process a sample. ProtocolError if it is impossible."""
         if not self.token:
             return
         if sample.token != self.token:
             if self.live:
-                self._fail("the controller runs another program, or was started anew")
+                self._fail("the controller runs another program, or has restarted")
             return
         before, self._last = self._last, sample
         if before is None or sample.turns != before.turns:
@@ -296,13 +296,13 @@ class UrProgramTracker(ProgramTracker):
 
     def _book(self, before: RtdeSample, sample: RtdeSample) -> None:
         if not before.block <= sample.block <= self.blocks:
-            raise ProtocolError(f"the robot says block {sample.block} of {self.blocks}, after block {before.block}")
+            raise ProtocolError(f"the robot reports block {sample.block} of {self.blocks}, after block {before.block}")
         self._advance(before.block)
         if before.phase == ScriptPhase.RUNS or sample.block > before.block:
             self.clock_s += max(sample.time_s - before.time_s, 0.0)
 
     def _judge(self, before: RtdeSample, sample: RtdeSample) -> None:
-        """What state that is, and whether it is one to go on in."""
+        """Set the state, and end the program if it cannot continue."""
         match sample.phase:
             case ScriptPhase.DONE if len(self) == self.blocks:
                 self.state, self.live = "done", False
@@ -327,7 +327,7 @@ class UrProgramTracker(ProgramTracker):
             self.state, self.detail = "running", ""
 
     def _waits(self, sample: RtdeSample) -> None:
-        """It stands before a block: where it is told to, or because the order has not come through yet."""
+        """Handle waiting before a block: as commanded, or because the command has not arrived yet."""
         if sample.block >= self.until:
             self.state, self.detail = "held", ""
             return
@@ -335,7 +335,7 @@ class UrProgramTracker(ProgramTracker):
             self._fail(f"it does not begin block {sample.block}")
 
     def _paused(self) -> None:
-        """By somebody else. While it runs, the tool may come to stand on the part: nothing is waited for."""
+        """Handle a pause by another client: the tool may stand still on the part, so the program fails at once."""
         self.detail = "the program was paused at the controller"
         if self.state == "running":
             self._fail(self.detail)
@@ -344,7 +344,7 @@ class UrProgramTracker(ProgramTracker):
         self.state, self.detail, self.live = "fault", why, False
 
     def _advance(self, to: int) -> None:
-        """All blocks below ``to`` are executed. Dwells took what they ask for, moves the rest, others nothing."""
+        """Record all blocks below ``to`` as executed: dwells get their programmed time, moves the rest, others none."""
         first = len(self)
         if to <= first:
             return

@@ -1,4 +1,4 @@
-"""The drive's process, as a spindle or as an actuator."""
+"""The process of the drive, as a spindle or as an actuator."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 from polishd.sim_backends.common.voice_coil import COIL_FAULTS, CoilDynamics, VoiceCoil
 
-# A spindle motor behind the drive: profile velocity with ramps, and a rotor that follows them a little late.
+# A spindle motor behind the drive: profile velocity with ramps, and a rotor that follows with a short lag.
 
 RPM = 0.1
-"""Of a unit of velocity."""
+"""Size of a unit of velocity."""
 COAST_RPM_S = 200.0
 LAG_S = 0.02
 NOISE_RPM = 0.2
@@ -44,20 +44,20 @@ class Motor:
     """Process seconds per wall second."""
     rpm: float = 0.0
     way: int = 1
-    """-1: two phases are exchanged, so that the rotor turns the other way round. The encoder sees it."""
+    """-1: two phases are exchanged, and the rotor turns the other way round. The encoder measures that direction."""
     jammed: bool = False
-    """Held by something: it turns no faster, and no slower."""
+    """A mechanical load holds the rotor at its speed."""
     samples: list[tuple[float, float]] = field(default_factory=list)
-    """(time, rpm) since they were last taken."""
+    """(time, rpm) since the samples were last taken."""
     _demand: float = 0.0
-    _said: str = "spindle_stopped"
+    _reported: str = "spindle_stopped"
 
     def __post_init__(self) -> None:
-        """Stands."""
+        """True at standstill."""
         self.samples.append((self.now_s, 0.0))
 
     def suffer(self, _fault: FaultSection, on: bool) -> None:
-        """Two phases are exchanged, or put right."""
+        """Exchange two phases, or restore them."""
         self.way = -1 if on else 1
         self.samples.append((self.now_s, self.way * self.rpm))
 
@@ -79,7 +79,7 @@ class Motor:
         objects[0x606C] = round((self.way * self.rpm + noise) / RPM)
         reached = abs(self.rpm - goal) <= max(0.01 * abs(goal), STILL_RPM)
         objects[0x6041] = objects[0x6041] & ~REACHED | (REACHED if reached else 0)
-        self._tell(power, reached)
+        self._report_motion(power, reached)
 
     def _wanted(self, objects: Objects, power: Power) -> tuple[float, float]:
         """(rpm, rpm/s)."""
@@ -90,38 +90,38 @@ class Motor:
             return 0.0, objects[0x6085] * RPM
         return 0.0, COAST_RPM_S
 
-    def _tell(self, power: Power, reached: bool) -> None:
-        says = "spindle_ramping"
+    def _report_motion(self, power: Power, reached: bool) -> None:
+        event = "spindle_ramping"
         if power.state == stage.FAULT:
-            says = "spindle_fault"
+            event = "spindle_fault"
         elif self.rpm == 0.0 and self._demand == 0.0:
-            says = "spindle_stopped"
+            event = "spindle_stopped"
         elif reached and power.state == stage.ENABLED:
-            says = "spindle_at_speed"
-        if says != self._said:
-            self._said = says
-            self.report(says, self.now_s, rpm=round(self.rpm, 1))
+            event = "spindle_at_speed"
+        if event != self._reported:
+            self._reported = event
+            self.report(event, self.now_s, rpm=round(self.rpm, 1))
 
 
-# A voice coil behind the drive: profile torque presses it out against its spring, without current the spring lifts.
+# A voice coil behind the drive: profile torque presses it out against its spring; without current the spring lifts it.
 
 N_PER_PERMILLE = 0.05
 BALANCE_N = 2.0
-"""What the spring lifts with."""
+"""Force with which the spring lifts."""
 MOST_N = 50.0
 TORQUE_MODE = 4
 
 
 @dataclass(slots=True)
 class DrivenCoil:
-    """The coil's mechanics, moved by current instead of by commands."""
+    """The mechanics of the coil, driven by current instead of by commands."""
 
     coil: VoiceCoil
 
     def step(self, now_s: float, objects: Objects, power: Power) -> None:
         """See Axis."""
         coil = self.coil
-        coil.feed(0)  # its own watchdog is the drive's business here
+        coil.feed(0)  # the drive's watchdog replaces the coil's
         pressed_n = self._pressed_n(objects, power)
         if pressed_n > 0.0 or (pressed_n == 0.0 and coil.engaged):
             coil.set_force(min(pressed_n, MOST_N))
@@ -135,7 +135,7 @@ class DrivenCoil:
         objects[0x6077] = self._torque(objects, power)
 
     def _pressed_n(self, objects: Objects, power: Power) -> float:
-        """On the part; negative: it is lifted. Also in profile position, which here leads to its rest only."""
+        """Force on the part; negative: lifted. Also in profile position, which here leads only to the rest."""
         if power.state == stage.ENABLED and objects[0x6061] == TORQUE_MODE:
             return round(objects[0x6071] * N_PER_PERMILLE - BALANCE_N, 9)
         return -BALANCE_N
@@ -152,7 +152,7 @@ MARK_S = 0.02
 
 
 async def spindle(runtime: SimRuntime) -> None:
-    """The device coroutine of a spindle."""
+    """Run the device as a spindle."""
     config, now_s = runtime.start.config.spindle, time.monotonic()
     rng = stream(runtime.start.seed, "motor")
     motor = Motor(rng, runtime.link.event, now_s, runtime.start.speed)
@@ -164,7 +164,7 @@ async def spindle(runtime: SimRuntime) -> None:
 
 
 async def actuator(runtime: SimRuntime) -> None:
-    """The device coroutine of a voice coil."""
+    """Run the device as a voice coil."""
     config, now_s, speed = runtime.start.config.actuator, time.monotonic(), runtime.start.speed
     coil = VoiceCoil(
         rng=stream(runtime.start.seed, "coil"),

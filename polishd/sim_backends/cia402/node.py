@@ -1,4 +1,4 @@
-"""The drive as a node of CANopen: boot, heartbeats both ways, emergencies, objects. Pure; wall times are handed in."""
+"""The drive as a CANopen node: boot, heartbeats both ways, emergencies, objects. Pure; the caller passes wall times."""
 
 from __future__ import annotations
 
@@ -62,15 +62,15 @@ OBJECTS: dict[Key, tuple[str, bool, int]] = {
     (0x6502, 0): (U32, False, 0b1101),
 }
 RANGES = {(0x6007, 0): (0, 3), (0x605A, 0): (0, 6), (0x6060, 0): (0, 4), (0x6071, 0): (-1500, 1500)}
-"""What may be written, where that is less than the type holds."""
+"""Values that may be written, where the type holds more."""
 
 
 @dataclass(slots=True)
 class Objects:
-    """The values of one drive; anything in it may change them, a client what is writable."""
+    """The values of one drive. The drive may change all of them, a client the writable ones."""
 
     on_write: Callable[[Key, int], int] = lambda _key, _value: 0
-    """Told before a client's value is taken; an abort code refuses it."""
+    """Called before a client's value is stored; an abort code refuses the value."""
     values: dict[Key, int] = field(default_factory=lambda: {key: value for key, (_, _, value) in OBJECTS.items()})
 
     def __getitem__(self, index: int) -> int:
@@ -80,7 +80,7 @@ class Objects:
         self.values[index, 0] = value
 
     def serve(self, request: bytes) -> bytes | None:
-        """Answer a client's eight bytes; None: nothing is to be said."""
+        """Answer a client's eight bytes; None: no answer is due."""
         specifier, index, sub, data = _SDO.unpack(request)
         key = (index, sub)
         if specifier == 0x80:
@@ -125,7 +125,7 @@ STATUS = (0x250, 0x231, 0x233, 0x237, 0x217, 0x21F, 0x218)
 
 @dataclass(slots=True)
 class Power:
-    """What control words and events make of the state."""
+    """Follow control words and events."""
 
     state: int = DISABLED
     control: int = 0
@@ -142,7 +142,7 @@ class Power:
         return self.state in {ENABLED, QUICK_STOP, REACTION}
 
     def command(self, word: int) -> None:
-        """A control word was written. What is no command in this state changes nothing."""
+        """Apply a control word. A word that is no command in this state changes nothing."""
         rises = word & ~self.control
         self.control = word
         if self.state == FAULT:
@@ -152,12 +152,12 @@ class Power:
             self.state = self._next(word)
 
     def fault(self) -> None:
-        """Something is wrong: it is stopped, and then in fault."""
+        """React to a fault: stop, then enter the fault state."""
         if self.state != FAULT:
             self.state = REACTION if self.live else FAULT
 
     def stands(self) -> None:
-        """The motor has come to rest."""
+        """React to the standstill of the motor."""
         if self.state == REACTION:
             self.state = FAULT
         elif self.state == QUICK_STOP and self.quick_stop_option <= 4:
@@ -184,48 +184,48 @@ class Power:
 BOOTING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 SILENCE, BUS_OFF_OVER, OVER_CURRENT = 0x8130, 0x8140, 0x2310
 COMMUNICATION_BITS, DRIVE_BITS = 0x11, 0x03
-"""Of the error register."""
+"""Bit of the error register."""
 RESET_NODE, RESET_COMMUNICATION = 0x81, 0x82
 COMMUNICATION_END = 0x2000
-"""Objects before it are of the communication."""
+"""Objects below this index belong to the communication."""
 FAULT_RESET = 0x80
 BOOT_S = 0.3
 
 
 class SimAxis(Protocol):
-    """What the drive moves."""
+    """The axis that the drive moves."""
 
     def step(self, now_s: float, objects: Objects, power: Power) -> None:
-        """Bring it to the present: act on the set points, write the actual values, tell when it stands."""
+        """Advance to the present: apply the set points, write the actual values, report standstill."""
         ...
 
 
 @dataclass(slots=True)
 class Node:
-    """One drive on the bus. ``on_frame`` hears the bus; ``step`` gives what the drive sends by itself."""
+    """One drive on the bus. ``on_frame`` takes a frame of the bus; ``step`` returns the frames that the drive sends."""
 
     node: int
     axis: SimAxis
     report: Callable[..., None]
-    """Tells the witness: (event, at_s)."""
+    """Write to the event log: (event, at_s)."""
     now_s: float
     objects: Objects = field(default_factory=Objects)
     power: Power = field(default_factory=Power)
     state: int = PRE_OPERATIONAL
     hung: bool = False
-    """Its firmware has died: it goes on as it is, says nothing and watches nothing."""
+    """The firmware has died: the drive continues as it is, sends nothing and watches nothing."""
     _delivered: dict[Key, int] = field(default_factory=dict)
-    """What its objects hold at power-up."""
+    """Values of the objects at power-up."""
     _dark_until_s: float = 0.0
-    """Until then it has no power, or is off the bus."""
+    """Until then the drive has no power, or is off the bus."""
     _was_off: bool = False
     _out: list[Frame] = field(default_factory=list)
     _beat_s: float = 0.0
-    _heard_s: float | None = None
-    """The watched controller's last heartbeat; None: none yet, nothing is watched."""
+    _heartbeat_s: float | None = None
+    """Last heartbeat of the watched controller; None: none yet, and nothing is watched."""
     _silent: bool = False
     _estranged: bool = False
-    """In fault over a lost heartbeat: no fault reset counts before the communication is reset, as with some drives."""
+    """In fault after a lost heartbeat: a fault reset works only after a communication reset, as with some drives."""
 
     def __post_init__(self) -> None:
         """Power up."""
@@ -234,7 +234,7 @@ class Node:
         self._booted()
 
     def on_frame(self, identifier: int, data: bytes) -> list[Frame]:
-        """Hear a frame; the answers to it."""
+        """Take a frame; return the answers."""
         if self.hung or self.now_s < self._dark_until_s:
             return []
         if identifier == 0x600 + self.node and len(data) == 8 and self.state != STOPPED:
@@ -247,7 +247,7 @@ class Node:
         return []
 
     def step(self, now_s: float) -> list[Frame]:
-        """Bring the drive to the present; the frames that are due."""
+        """Advance the drive to the present; return the frames that are due."""
         self.now_s = max(now_s, self.now_s)
         was = self.power.state
         self.axis.step(self.now_s, self.objects, self.power)
@@ -269,21 +269,21 @@ class Node:
         return frames
 
     def fail(self, code: int = OVER_CURRENT) -> None:
-        """The drive's own fault."""
+        """Raise the drive's fault."""
         self.objects[0x603F] = code
         self.objects[0x1001] |= DRIVE_BITS
         self._emergency(code)
         self.power.fault()
 
     def reboot(self) -> None:
-        """Lose power for a while, with all that was set; it comes up again with what it is delivered with."""
+        """Lose power for a while, and all settings with it; the drive comes up with its factory values."""
         self.objects.values.update(self._delivered)
         self.power = Power()
-        self._heard_s, self._silent, self._estranged = None, False, False
+        self._heartbeat_s, self._silent, self._estranged = None, False, False
         self.state, self._dark_until_s = BOOTING, self.now_s + BOOT_S
 
     def bus_off(self, for_s: float) -> None:
-        """Too many errors on the wire: it hears and says nothing for a while, and tells of it afterwards."""
+        """Go bus-off after too many errors: the drive receives and sends nothing for a while, then reports it."""
         self._dark_until_s, self._was_off = self.now_s + for_s, True
 
     @property
@@ -294,9 +294,9 @@ class Node:
         if command == RESET_NODE:
             self.reboot()
         elif command == RESET_COMMUNICATION:
-            told = {key: value for key, value in self._delivered.items() if key[0] < COMMUNICATION_END}
-            self.objects.values.update(told)
-            self._heard_s, self._silent, self._estranged = None, False, False
+            kept = {key: value for key, value in self._delivered.items() if key[0] < COMMUNICATION_END}
+            self.objects.values.update(kept)
+            self._heartbeat_s, self._silent, self._estranged = None, False, False
             self._booted()
         self.state = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}.get(command, self.state)
 
@@ -318,7 +318,7 @@ class Node:
         elif key == (0x605A, 0):
             self.power.quick_stop_option = value
         elif key == (0x1016, 1):
-            self._heard_s, self._silent = None, False
+            self._heartbeat_s, self._silent = None, False
         elif key == (0x6040, 0):
             self._command(value)
         return 0
@@ -333,7 +333,7 @@ class Node:
         self._show()
 
     def _heard(self) -> None:
-        self._heard_s = self.now_s
+        self._heartbeat_s = self.now_s
         if self._silent:
             self._silent = False
             if self.power.state != FAULT:
@@ -342,7 +342,7 @@ class Node:
 
     def _watch(self) -> None:
         within_s = (self.objects.values[0x1016, 1] & 0xFFFF) / 1000.0
-        if self._silent or self._heard_s is None or not within_s or self.now_s - self._heard_s <= within_s:
+        if self._silent or self._heartbeat_s is None or not within_s or self.now_s - self._heartbeat_s <= within_s:
             return
         self._silent = self._estranged = True
         self.report("watchdog", self.now_s)
@@ -354,7 +354,7 @@ class Node:
             self._abandoned(self.objects[0x6007])
 
     def _abandoned(self, option: int) -> None:
-        """What it was told to do when it hears nothing."""
+        """React to a lost heartbeat as configured."""
         if option == 1:
             self.power.fault()
         elif option == 2:

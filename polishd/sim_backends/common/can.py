@@ -1,4 +1,4 @@
-"""Two ways to the CAN bus: an slcan adapter's serial dialect, and socketcand's."""
+"""Two ways to the CAN bus: the serial dialect of an slcan adapter, and the protocol of socketcand."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _SOCKETCAND = re.compile(rb"<\s*([^<>]*?)\s*>")
 
 
 def slcan_line(frame: Frame) -> bytes:
-    """A standard data frame as an adapter sends it."""
+    """Format a standard data frame as an adapter sends it."""
     identifier, data = frame
     return b"t%03X%d%s\r" % (identifier, len(data), data.hex().encode())
 
 
 def slcan_frame(line: bytes) -> Frame | None:
-    """The standard data frame of a line (without its end), or None."""
+    """Parse the standard data frame of a line (without its end); None if it is none."""
     try:
         identifier, size, data = int(line[1:4], 16), int(line[4:5]), bytes.fromhex(line[5:].decode())
     except ValueError:
@@ -32,14 +32,14 @@ def slcan_frame(line: bytes) -> Frame | None:
 
 @dataclass(slots=True)
 class SlcanHost:
-    """An adapter: lines ended by CR; nothing of the bus is heard before ``O``."""
+    """An adapter: lines ended by CR. It passes no frame of the bus before ``O``."""
 
     on_frame: Callable[[int, bytes], list[Frame]]
     opened: bool = False
     _buffer: bytes = b""
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes from the host; what to answer."""
+        """Take bytes from the host; return the answer."""
         self._buffer += data
         answer = b""
         while b"\r" in self._buffer:
@@ -49,7 +49,7 @@ class SlcanHost:
         return answer
 
     def send(self, frames: list[Frame]) -> bytes:
-        """What the host sees of frames on the bus."""
+        """Format frames of the bus for the host."""
         return b"".join(map(slcan_line, frames)) if self.opened else b""
 
     def _line(self, line: bytes) -> bytes:
@@ -75,7 +75,7 @@ class SocketcandHost:
     greeting = b"< hi >"
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes from the client; what to answer."""
+        """Take bytes from the client; return the answer."""
         self._buffer += data
         answer = b""
         while (match := _SOCKETCAND.search(self._buffer)) is not None:
@@ -85,7 +85,7 @@ class SocketcandHost:
         return answer
 
     def send(self, frames: list[Frame]) -> bytes:
-        """What the client sees of frames on the bus."""
+        """Format frames of the bus for the client."""
         if not self.opened:
             return b""
         return b"".join(b"< frame %03X 0.000000 %s >" % (ident, data.hex().upper().encode()) for ident, data in frames)
@@ -107,10 +107,10 @@ class SocketcandHost:
         return self.send(self.on_frame(identifier, data))
 
 
-# A CAN bus as its hosts hear it: whoever has opened the adapter or the server gets every frame.
+# A CAN bus as its hosts see it: every host that has opened the adapter or the server gets every frame.
 
 ADAPTER_BAUD = 1_000_000
-"""Of the slcan adapter's serial side."""
+"""Baud rate of the slcan adapter's serial side."""
 
 
 @dataclass(slots=True)
@@ -122,11 +122,11 @@ class CanWire:
     """``slcan`` or ``socketcand``."""
     port: int
     on_frame: Callable[[int, bytes], list[Frame]]
-    """Hears a host's frame; what the device answers at once."""
+    """Takes a host's frame; returns the device's immediate answers."""
     hosts: list[tuple[SlcanHost | SocketcandHost, FaultyLink]] = field(default_factory=list)
 
     async def open(self) -> None:
-        """Be reachable, and say where."""
+        """Open the endpoint and announce its address."""
         wire = SimWire(self.runtime, self._connected)
         if self.kind == "slcan":
             wire.open_pty(ADAPTER_BAUD)
@@ -135,7 +135,7 @@ class CanWire:
             wire.ready(f"socketcand://{await wire.open_tcp(self.port, SocketcandHost.greeting)}/can0")
 
     def say(self, frames: list[Frame]) -> None:
-        """Each host hears the bus once it has opened it: before that, a client waits for an answer."""
+        """Pass frames of the bus to each host that has opened it; before that, a client waits for an answer."""
         for host, outlet in self.hosts if frames else []:
             for frame in frames:
                 if heard := host.send([frame]):

@@ -1,4 +1,4 @@
-"""A profile as its device reads it: what stands for each physical value and state, and which writes make an order."""
+"""A profile, seen from the device: the encoding of each value and state, and the writes that form a command."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ class SimDeviceProfile:
 
     raw: Mapping[str, Any]
     pole_pairs: int = 1
-    """Of the motor: its speed for one Hz."""
+    """Of the motor: speed for one Hz."""
 
     @classmethod
     def read(cls, path: Path, pole_pairs: int = 1) -> SimDeviceProfile:
-        """Of that file."""
+        """Folder of that file."""
         return cls(tomllib.loads(path.read_text()), pole_pairs)
 
     def number(self, name: str, physical: float) -> float:
-        """What stands on the wire for that many N, mm, rpm or ms."""
+        """Encode a value in N, mm, rpm or ms."""
         what = self.quantity(name)
         size = abs(physical) if "negative" in what else physical
         return float((size / self._size(what) - what.get("offset", 0.0)) / what.get("scale", 1.0))
 
     def physical(self, name: str, number: float) -> float:
-        """And back."""
+        """Decode a value."""
         what = self.quantity(name)
         return float((number * what.get("scale", 1.0) + what.get("offset", 0.0)) * self._size(what))
 
     def _size(self, what: Mapping[str, Any]) -> float:
-        """Of its unit."""
+        """Scale of its unit."""
         unit = what.get("unit", "1")
         return UNIT[unit] / (self.pole_pairs if unit == "Hz" else 1)
 
     def quantity(self, name: str) -> Mapping[str, Any]:
-        """Its table."""
+        """Return its table."""
         found: Mapping[str, Any] = self.raw.get("registers", self.raw.get("values", {})).get(name, {})
         return found
 
     def words(self, values: Mapping[str, float | str], state: str, *, silent: bool) -> dict[str, float | str]:
-        """Numbers (or text) of everything that the device says; ``silent``: with its watchdog's fault."""
-        said: dict[str, float | str] = {
+        """Numbers (or text) of all that the device reports; ``silent``: with the fault of its watchdog."""
+        found: dict[str, float | str] = {
             name: value if isinstance(value, str) else self.number(name, value) for name, value in values.items()
         }
         at_rest = self._rule_of("retracted") or self._rule_of("stopped")
@@ -62,25 +62,25 @@ class SimDeviceProfile:
         rules += [sign for name in values if (sign := self._sign(name, values[name]))]
         for rule in filter(None, rules):
             word = rule["equals"][0]
-            before = said.get(rule["when"], 0)
+            before = found.get(rule["when"], 0)
             if isinstance(word, str) or isinstance(before, str):
-                said[rule["when"]] = word
+                found[rule["when"]] = word
             else:
-                said[rule["when"]] = (int(before) & ~rule.get("mask", ~0)) | int(word)
+                found[rule["when"]] = (int(before) & ~rule.get("mask", ~0)) | int(word)
         if "faults" in self.raw:
             name = self.raw["faults"]["value"]
-            said[name] = self.fault if silent else said.get(name, 0)
-        return said
+            found[name] = self.fault if silent else found.get(name, 0)
+        return found
 
     @property
     def fault(self) -> int:
-        """What it says when its watchdog has run out: one that may be taken back, where there is such a one."""
+        """The fault that the device reports after a watchdog timeout: one that can be reset, where there is one."""
         faults = self.raw["faults"]
         named = [*faults.get("clears", ()), *faults.get("bits", ()), *faults.get("codes", ())]
         return int(named[0])
 
     def _rule_of(self, state: str) -> Mapping[str, Any] | None:
-        """The first rule that gives that state by a word of its own."""
+        """The first rule that assigns a separate code to that state."""
         rules = (rule for rule in self.raw.get("states", ()) if rule["state"] == state and rule.get("equals"))
         return next(rules, None)
 
@@ -89,20 +89,20 @@ class SimDeviceProfile:
         return rule if rule and isinstance(value, float) and value < 0.0 else None
 
     def orders(self) -> Iterator[tuple[str, list[str]]]:
-        """Each order and its steps."""
+        """Each command with its steps."""
         yield from self.raw.get("commands", {}).items()
 
     def written(self, register: str, stored: Mapping[str, float]) -> tuple[str, float] | None:
-        """(order, what is asked in N, rpm or ms) that a write to the register has just made whole."""
+        """Commands (name, value in N, rpm or ms) that a write to the register has just completed."""
         found = [
             (name, steps)
             for name, steps in self.orders()
             if register in {step(one)[0] for one in steps} and all(_is(one, stored) for one in steps)
         ]
-        # Whoever writes in another sequence than the profile's is understood too: a drive that runs obeys any of them.
+        # A client may write in another sequence than the profile's: a running drive obeys any of them.
         for name, steps in sorted(found, key=lambda one: (step(one[1][-1])[0] != register, "asked" in one[1][-1])):
-            asked = next((step(one)[0] for one in steps if step(one)[1] in {"asked", "count"}), register)
-            return name, self.physical(asked, stored.get(asked, 0.0))
+            register_of_value = next((step(one)[0] for one in steps if step(one)[1] in {"asked", "count"}), register)
+            return name, self.physical(register_of_value, stored.get(register_of_value, 0.0))
         return None
 
 

@@ -1,4 +1,4 @@
-"""Scripted faults: when each acts, what it does to a frame, and which of them a link can have."""
+"""Scripted faults: when each acts, its effect on a frame, and the faults that a link can have."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from polishd.sim_backends.common.framing import crc16
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.registry import find_device
 
-# What faults must know of a link's protocol: where a frame ends, and what a reply to be feared looks like.
+# Facts of a link's protocol that faults need: where a frame ends, and how a harmful reply looks.
 
 Cut = Callable[[bytes], int]
-"""Bytes of the first frame; 0 where it is not all there."""
+"""Bytes of the first frame; 0 where it is not complete."""
 Forge = Callable[[bytes], bytes]
-"""Another reply made of one; empty where none can be made of it."""
+"""Make a forged reply of one; empty where that is impossible."""
 
 DEVICE_FAILURE = 4
 ADS_BUSY = 0x708
@@ -41,7 +41,7 @@ class Protocol:
 
     cut: Cut = len
     wrong_unit: Forge | None = None
-    """As if another unit, or another node, had answered."""
+    """As if another unit or another node had answered."""
     exception: Forge | None = None
     """As if the device had refused."""
 
@@ -52,7 +52,7 @@ def _ended(ends: bytes) -> Cut:
 
 
 def _sized(form: str, at: int, more: int) -> Cut:
-    """A frame that says its own length at a place; ``more`` bytes are not counted by it."""
+    """A frame with its length at a fixed offset; the length does not count ``more`` bytes."""
     size = struct.Struct(form)
 
     def cut(data: bytes) -> int:
@@ -78,8 +78,8 @@ def _refused(function: int) -> bytes:
 
 
 def _line_refused(frame: bytes) -> bytes:
-    number, _, said = (numbered.body(frame.rstrip(b"\r\n")) or "").partition(",")
-    return numbered.line(f"{number},ERR,fault,a fault is set") if said else b""
+    number, _, body = (numbered.body(frame.rstrip(b"\r\n")) or "").partition(",")
+    return numbered.line(f"{number},ERR,fault,a fault is set") if body else b""
 
 
 def _robot_refused(frame: bytes) -> bytes:
@@ -96,7 +96,7 @@ def _ads_refused(frame: bytes) -> bytes:
 
 
 def _abort(identifier: int, data: bytes) -> bytes:
-    """The data of an SDO's refusal in the place of its answer; empty of any other frame."""
+    """Replace the data of an SDO answer by an abort; empty for any other frame."""
     answers = 0x580 < identifier < 0x600 and len(data) == 8
     return bytes([SDO_ABORT]) + data[1:4] + struct.pack("<I", HARDWARE) if answers else b""
 
@@ -152,10 +152,10 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "dashboard": Protocol(_ended(b"\n")),
     "primary": Protocol(),
 }
-"""By name, as errors and the log say it."""
+"""By name, as in errors and in the log."""
 
 
-# The faults of one device's process: which of them act now, and what becomes of a frame. Wall times are handed in.
+# The faults of one device's process: which act now, and their effect on a frame. The caller passes wall times.
 
 TICK_S = 0.005
 
@@ -171,14 +171,14 @@ class LinkDirection:
 
 @dataclass(slots=True)
 class FrameAction:
-    """What becomes of a frame."""
+    """The effect of the faults on a frame."""
 
     data: bytes
-    """Empty: it is lost."""
+    """Data to send; empty: the frame is lost."""
     delay_s: float = 0.0
-    """It comes late, and those behind wait for it."""
+    """The frame is delayed, and those behind it wait."""
     late_s: float = 0.0
-    """It alone comes late."""
+    """Only this frame is delayed."""
     copies: int = 1
     byte_s: float = 0.0
     """Pause after each of its bytes."""
@@ -186,41 +186,41 @@ class FrameAction:
 
 @dataclass(slots=True)
 class ActiveFault:
-    """A fault of the file, and how far it has come."""
+    """A fault of the file, and its progress."""
 
     number: int
-    """Its place in the file among all faults, from 1."""
+    """Number of the fault in the file, from 1."""
     fault: FaultSection
     rng: np.random.Generator
     since_s: float
-    """When waiting for it began."""
+    """Time at which waiting for it began."""
     begun_s: float | None = None
     over: bool = False
     frames: int = 0
-    """That it has seen since."""
+    """Frames counted since then."""
 
     @property
     def acts(self) -> bool:
-        """It has begun, and is not over."""
+        """It has begun and has not ended."""
         return self.begun_s is not None and not self.over
 
     @property
     def lasts(self) -> bool:
-        """It is a state, and not a single blow."""
+        """It is a state, not a single event."""
         fault = self.fault
         return bool(fault.duration_s) or fault.rate is not None or fault.what in {"hang", *STATES}
 
     @property
     def always(self) -> bool:
-        """While it acts, it acts on every frame: its begin and its end say all."""
+        """It acts on every frame; its begin and end are logged, not each frame."""
         return self.lasts and self.fault.rate in {None, 1.0}
 
     def meets(self, way: LinkDirection) -> bool:
-        """Frames of that way are its own."""
+        """It acts on frames of that direction."""
         return self.fault.link in {"", way.link} and self.fault.direction == way.direction
 
     def due(self, now_s: float, contact_s: float) -> bool:
-        """It is time."""
+        """It is due."""
         fault = self.fault
         if fault.contact_s is not None:
             return contact_s > fault.contact_s
@@ -235,26 +235,26 @@ class ActiveFault:
 
 @dataclass(slots=True)
 class FaultScript:
-    """All of them, in the order of the file."""
+    """All faults, in the order of the file."""
 
     device: str
     seed: int
-    tell: Callable[..., None]
-    """The witness: (event, **data)."""
+    log_event: Callable[..., None]
+    """Write to the event log: (event, **data)."""
     troubles: list[ActiveFault] = field(default_factory=list)
     suffer: Callable[[FaultSection, bool], None] = lambda _fault, _on: None
-    """The device behind gets into that state, or out of it."""
+    """Set or clear that state of the device behind the link."""
     unplug: list[tuple[str, Callable[[], None], Callable[[], None]]] = field(default_factory=list)
     """(link, pull the plug, put it in again)."""
     reboot: Callable[[], None] = lambda: None
     contact_s: float = 0.0
     """Time in contact so far."""
     _pressed_s: float | None = None
-    """Since when the tool presses; None: it does not."""
+    """Time since which the tool presses; None: it does not."""
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     def set(self, faults: Iterable[FaultSection], now_s: float, *, rebooted: bool = False) -> None:
-        """These from now on; a device that was just rebooted by one is not rebooted by it again."""
+        """Replace the faults. A device that a fault has just rebooted is not rebooted by it again."""
         self.finish(now_s)
         self.troubles = [
             ActiveFault(number, fault, stream(self.seed, f"{self.device} fault {number}"), now_s)
@@ -265,19 +265,19 @@ class FaultScript:
         self._changed.set()
 
     def finish(self, now_s: float) -> None:
-        """Whatever acts ends."""
+        """End all active faults."""
         for trouble in self.troubles:
             if trouble.acts and trouble.lasts:
                 self._end(trouble, now_s)
 
     def feel(self, acting_n: float) -> None:
-        """What acts between tool and part, as the plant says."""
+        """Take the contact between tool and part from the plant."""
         now_s = time.monotonic()
         self._count(now_s)
         self._pressed_s = now_s if acting_n > 0.0 else None
 
     async def run(self) -> None:
-        """Begin and end what goes by time, for ever."""
+        """Begin and end timed faults until cancelled."""
         while True:
             if not any(not trouble.over for trouble in self.troubles):
                 self._changed.clear()
@@ -297,7 +297,7 @@ class FaultScript:
                 self._begin(trouble, now_s)
 
     def treat(self, frame: bytes, way: LinkDirection, now_s: float) -> FrameAction:
-        """What becomes of a frame that goes now."""
+        """Return the effect of the faults on a frame that goes now."""
         for trouble in self.troubles:
             trouble.frames += trouble.meets(way)
         self.look(now_s)
@@ -313,19 +313,19 @@ class FaultScript:
         return fate
 
     def hangs(self, link: str) -> bool:
-        """Nothing passes there."""
+        """Nothing passes on that link."""
         return any(t.acts and t.fault.what == "hang" and t.fault.link in {"", link} for t in self.troubles)
 
     def _acted(self, trouble: ActiveFault, way: LinkDirection, now_s: float) -> None:
         if not trouble.always:
-            self._tell("fault_acts", trouble, link=way.link or way.protocol, direction=way.direction)
+            self._log("fault_acts", trouble, link=way.link or way.protocol, direction=way.direction)
         if not trouble.lasts:
             self._end(trouble, now_s)
 
     def _begin(self, trouble: ActiveFault, now_s: float) -> None:
         fault, trouble.begun_s = trouble.fault, now_s
         if trouble.lasts or fault.what not in FRAMES:
-            self._tell("fault_begins", trouble)
+            self._log("fault_begins", trouble)
         if fault.what in STATES:
             self.suffer(fault, True)
         elif fault.what == "reboot":
@@ -339,7 +339,7 @@ class FaultScript:
     def _end(self, trouble: ActiveFault, now_s: float) -> None:
         fault, again = trouble.fault, trouble.fault.every_s is not None
         if trouble.lasts:
-            self._tell("fault_ends", trouble)
+            self._log("fault_ends", trouble)
         if fault.what in STATES:
             self.suffer(fault, False)
         elif fault.what == "unplug":
@@ -356,12 +356,12 @@ class FaultScript:
             self.contact_s += now_s - self._pressed_s
             self._pressed_s = now_s
 
-    def _tell(self, event: str, trouble: ActiveFault, **data: Any) -> None:
-        self.tell(event, fault=trouble.number, what=trouble.fault.what, **data)
+    def _log(self, event: str, trouble: ActiveFault, **data: Any) -> None:
+        self.log_event(event, fault=trouble.number, what=trouble.fault.what, **data)
 
 
 def _apply(trouble: ActiveFault, fate: FrameAction, way: LinkDirection) -> bool:
-    """Whether it could be done to this frame."""
+    """True if the fault can act on this frame."""
     fault, rng = trouble.fault, trouble.rng
     if fault.what == "drop":
         fate.data = b""
@@ -390,23 +390,23 @@ def _with_a_bit_turned(frame: bytes, rng: np.random.Generator) -> bytes:
     return bytes(damaged)
 
 
-# Which links a simulated cell has, which protocol each speaks, and which faults make no sense there.
+# The links of a simulated cell, the protocol of each, and the faults that make no sense there.
 
 PROFILED = {"profile": "modbus_rtu", "profile_tcp": "modbus_tcp"}
-"""Protocols that a device profile names: the one that they are where it has registers."""
+"""Protocols that a device profile names, with the protocol of its registers where it has registers."""
 
 
 def protocols(config: SimConfig, device: str) -> Mapping[str, str]:
-    """The device's links, with the name of the protocol of each; empty: it has none of the simulator's own.
+    """Return the device's links with the protocol of each; empty: the simulator has none for it.
 
-    The one link of a device that has but one is called ``""``. ConfigError where a profile cannot be read.
+    The only link of a device is called ``""``. ConfigError where a profile cannot be read.
     """
     links = find_device(config, device).links[getattr(getattr(config, device), "kind", "")]
     return {link: _profiled(config, device, name) if name in PROFILED else name for link, name in links.items()}
 
 
 def _profiled(config: SimConfig, device: str, kind: str) -> str:
-    """The protocol that the profile of a device names."""
+    """Return the protocol that the profile of a device names."""
     raw = SimDeviceProfile.read(config.resolve(getattr(config, device).profile)).raw
     if "lines" in raw:
         return "numbered lines" if raw["lines"].get("framing") == "numbered" else "lines"
@@ -414,7 +414,7 @@ def _profiled(config: SimConfig, device: str, kind: str) -> str:
 
 
 def require_possible(config: SimConfig) -> None:
-    """ConfigError, a line each, about faults that the device or the link of their section cannot have."""
+    """ConfigError, one line for each fault that the device or the link of its section cannot have."""
     lines = [
         config.source.error(("fault", number, key), problem)
         for number, fault in enumerate(config.fault)
@@ -425,7 +425,7 @@ def require_possible(config: SimConfig) -> None:
 
 
 def _problems(config: SimConfig, fault: FaultSection) -> Iterator[tuple[str, str]]:
-    """(key, what is wrong with it)."""
+    """Return (key, problem)."""
     if getattr(config, fault.device) is None:
         yield "device", f"there is no {fault.device} in this cell; add [{fault.device}], or remove the fault"
         return
@@ -455,26 +455,26 @@ class SpeedOverride:
     """Fraction of the programmed speed at which the tool moves, and the fraction that the controller reports."""
 
     _acting: list[tuple[FaultSection, float]] = field(default_factory=list)
-    """Faults that act, and the time (time.monotonic) of their begin."""
+    """Faults that act, with the time (time.monotonic) of their begin."""
 
     def suffer(self, fault: FaultSection, on: bool) -> None:
-        """Begin a fault, or end it: then the tool goes on at the programmed speed."""
+        """Begin or end a fault. After the end the tool continues at the programmed speed."""
         if on:
             self._acting.append((fault, time.monotonic()))
         else:
             self._acting = [(other, begun_s) for other, begun_s in self._acting if other is not fault]
 
     def actual(self, now_s: float) -> float:
-        """Fraction at which the tool moves; 0: it stands."""
+        """Fraction at which the tool moves; 0: it is at standstill."""
         return 0.0 if self.stands else self._product(now_s, [*self._acting])
 
     def reported(self, now_s: float) -> float:
-        """Fraction that the controller reports: nothing of ``stand``, nor of an override with ``reported = false``."""
+        """Fraction that the controller reports: unchanged by ``stand`` and by an override with ``reported = false``."""
         return self._product(now_s, [(fault, begun_s) for fault, begun_s in self._acting if fault.reported])
 
     @property
     def stands(self) -> bool:
-        """The tool stands, and the controller reports that it runs."""
+        """The tool is at standstill, and the controller reports that it runs."""
         return any(fault.what == "stand" for fault, _ in self._acting)
 
     def _product(self, now_s: float, acting: list[tuple[FaultSection, float]]) -> float:

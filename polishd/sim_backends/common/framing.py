@@ -18,7 +18,7 @@ _TEXTS = {"range": "value out of range", "fault": "a fault is set", "unknown": "
 
 
 def line(body: str) -> bytes:
-    """A line of the protocol."""
+    """Format a line of the protocol."""
     data = body.encode("ascii")
     return b"$%s*%02X\r\n" % (data, reduce(xor, data, 0))
 
@@ -36,7 +36,7 @@ def body(data: bytes) -> str | None:
 
 @dataclass(slots=True)
 class AsciiSlave:
-    """Answers each intact line by one line."""
+    """Answer each intact line by one line."""
 
     coil: VoiceCoil
     identity: str
@@ -44,7 +44,7 @@ class AsciiSlave:
     _buffer: bytes = b""
 
     def feed(self, data: bytes, _now_s: float) -> Iterable[tuple[int, bytes]]:
-        """(bytes of the request, answer) for each whole request."""
+        """Return (bytes of the request, answer) for each whole request."""
         self._buffer += data
         while b"\n" in self._buffer:
             raw, self._buffer = self._buffer.split(b"\n", 1)
@@ -85,11 +85,11 @@ class AsciiSlave:
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
 _CODES = {"": 0, "range": ILLEGAL_VALUE, "fault": DEVICE_FAILURE}
 _LONG = {15, 16}
-"""Functions whose requests say how long they are; all others have 8 bytes."""
+"""Functions whose requests contain their length; all others have 8 bytes."""
 
 
 def crc16(data: bytes) -> int:
-    """The CRC of Modbus RTU."""
+    """Return the CRC of Modbus RTU."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -99,7 +99,7 @@ def crc16(data: bytes) -> int:
 
 
 def rtu(unit: int, pdu: bytes) -> bytes:
-    """An RTU frame."""
+    """Return an RTU frame."""
     body = bytes([unit]) + pdu
     return body + struct.pack("<H", crc16(body))
 
@@ -116,7 +116,7 @@ class CoilRegisters:
     boot_count: int
 
     def answer(self, pdu: bytes) -> bytes:
-        """The answer to a request PDU."""
+        """Return the answer to a request PDU."""
         function = pdu[0]
         if function in {3, 4} and len(pdu) == 5:
             result = self._read(function, *struct.unpack(">HH", pdu[1:]))
@@ -141,7 +141,7 @@ class CoilRegisters:
         return bytes([function, 2 * count]) + struct.pack(f">{count}H", *words)
 
     def _write(self, address: int, values: list[int]) -> int:
-        """Write in order; 0 or the exception code of the first refusal."""
+        """Write in order. Return 0, or the exception code of the first refusal."""
         if not values or address < 0 or address + len(values) > 4:
             return ILLEGAL_ADDRESS
         for k, value in enumerate(values):
@@ -180,7 +180,7 @@ class CoilRegisters:
 
 @dataclass(slots=True)
 class RtuSlave:
-    """Cuts a serial stream into requests for one unit. Damaged frames and other units' are met with silence."""
+    """Cut a serial stream into requests for one unit. Damaged frames and frames of other units get no answer."""
 
     unit: int
     answer: Callable[[bytes], bytes]
@@ -188,7 +188,7 @@ class RtuSlave:
     _last_s: float = 0.0
 
     def feed(self, data: bytes, now_s: float) -> Iterable[tuple[int, bytes]]:
-        """(bytes of the request, answer) for each whole request."""
+        """Return (bytes of the request, answer) for each whole request."""
         if now_s - self._last_s > 0.05:
             self._buffer = b""
         self._last_s = now_s
@@ -208,14 +208,14 @@ class RtuSlave:
 
 @dataclass(slots=True)
 class TcpSlave:
-    """Cuts a TCP stream into Modbus requests."""
+    """Cut a TCP stream into Modbus requests."""
 
     unit: int
     answer: Callable[[bytes], bytes]
     _buffer: bytes = b""
 
     def feed(self, data: bytes, _now_s: float) -> Iterable[tuple[int, bytes]]:
-        """(bytes of the request, answer) for each whole request; a bad protocol id empties the buffer."""
+        """Return (bytes of the request, answer) for each whole request; a bad protocol id empties the buffer."""
         self._buffer += data
         while len(self._buffer) >= 8:
             transaction, protocol, length, unit = struct.unpack_from(">HHHB", self._buffer)
@@ -230,7 +230,7 @@ class TcpSlave:
                 yield 6 + length, struct.pack(">HHHB", transaction, 0, len(reply) + 1, unit) + reply
 
 
-# The robot link's frames, the robot's side (docs/protocols/robot_link.md).
+# The frames of the robot link, on the robot's side (docs/protocols/robot_link.md).
 
 HELLO, LOAD, BLOCKS, RESUME, HOLD, ABORT, PING, LIFT = range(0x01, 0x09)
 WELCOME, ACK, NAK, ACCEPTED, EXECUTED, STATUS, RESEND = range(0x81, 0x88)
@@ -243,7 +243,7 @@ Frame = tuple[int, bytes]
 
 
 def pack(kind: int, payload: bytes = b"") -> bytes:
-    """A frame."""
+    """Return a frame."""
     body = _HEAD.pack(MAGIC, kind, _check(kind, len(payload)), len(payload)) + payload
     return body + struct.pack(">I", zlib.crc32(body))
 
@@ -253,23 +253,23 @@ def _check(kind: int, length: int) -> int:
 
 
 def pack_json(kind: int, message: dict[str, Any]) -> bytes:
-    """A frame with a JSON payload."""
+    """Return a frame with a JSON payload."""
     return pack(kind, json.dumps(message, separators=(",", ":")).encode())
 
 
 def pack_executed(blocks: Sequence[tuple[int, float, float]]) -> bytes:
-    """An EXECUTED frame; at most 65,535 blocks."""
+    """Return an EXECUTED frame; at most 65,535 blocks."""
     return pack(EXECUTED, struct.pack(">H", len(blocks)) + b"".join(struct.pack(">Idd", *block) for block in blocks))
 
 
 def pack_blocks(first: int, lines: Sequence[bytes]) -> bytes:
-    """A BLOCKS frame, as a client sends it."""
+    """Return a BLOCKS frame, as a client sends it."""
     body = struct.pack(">IH", first, len(lines))
     return pack(BLOCKS, body + b"".join(struct.pack(">H", len(line)) + line for line in lines))
 
 
 def unpack_blocks(payload: bytes) -> tuple[int, list[bytes]] | None:
-    """(first seq, lines) of a BLOCKS payload, or None if it is malformed."""
+    """Return (first seq, lines) of a BLOCKS payload, or None if it is malformed."""
     try:
         first, count = struct.unpack_from(">IH", payload)
         at, lines = 6, []
@@ -283,13 +283,13 @@ def unpack_blocks(payload: bytes) -> tuple[int, list[bytes]] | None:
 
 
 def unpack_executed(payload: bytes) -> list[tuple[int, float, float]]:
-    """(seq, start_s, end_s) of an EXECUTED payload, as a client reads it."""
+    """Return (seq, start_s, end_s) of an EXECUTED payload, as a client reads it."""
     (count,) = struct.unpack_from(">H", payload)
     return [struct.unpack_from(">Idd", payload, 2 + 20 * k) for k in range(count)]
 
 
 def unpack_json(payload: bytes) -> dict[str, Any] | None:
-    """The object of a JSON payload, or None if it is none."""
+    """Return the object of a JSON payload, or None if it is no object."""
     try:
         message = json.loads(payload)
     except ValueError:
@@ -298,14 +298,14 @@ def unpack_json(payload: bytes) -> dict[str, Any] | None:
 
 
 class Splitter:
-    """Cuts a byte stream into frames; broken ones are skipped up to the next magic and counted."""
+    """Cut a byte stream into frames; broken ones are skipped up to the next magic and counted."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self.broken = 0
 
     def feed(self, data: bytes) -> Iterable[Frame]:
-        """Take bytes, give the whole frames."""
+        """Take bytes; return the whole frames."""
         self._buffer += data
         while True:
             start = self._buffer.find(MAGIC)

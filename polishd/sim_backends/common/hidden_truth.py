@@ -1,4 +1,4 @@
-"""The hidden truth: what the simulated machines are really like. Drawn from the seed, never told to the controller."""
+"""The hidden truth: true properties of the simulated machines, drawn from the seed. The controller never gets it."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class HiddenTruth:
     robot: RobotModel
 
     def rate_at(self, process_s: FloatArray) -> FloatArray:
-        """(n,) rate factors at process times (n,)."""
+        """Return (n,) rate factors at process times (n,)."""
         angle = self.drift_phase + math.tau * process_s / self.drift_period_s
         return np.asarray(self.rate * (1.0 + self.drift * np.sin(angle)))
 
 
 def draw(config: Truth, seed: int, nominal: RobotModel | None = None) -> HiddenTruth:
-    """Draw the truth, of the shipped robot or another. The same seed gives the same machines."""
+    """Draw the truth of the shipped robot or another. The same seed gives the same machines."""
     rng = np.random.default_rng([seed, 1])
     robot = _stiffened(nominal or HybridRobot(), config.stiffness, rng)
     return HiddenTruth(
@@ -55,7 +55,7 @@ def draw(config: Truth, seed: int, nominal: RobotModel | None = None) -> HiddenT
 
 
 def _stiffened(nominal: RobotModel, off: float, rng: np.random.Generator) -> RobotModel:
-    """That robot with each of its stiffnesses off by so much at most, relative; of a table all values by one factor."""
+    """Return that robot with each stiffness off by at most ``relative``; all values of a table change by one factor."""
     if isinstance(nominal, MeasuredCompliance):
         return replace(
             nominal, compliance_um_per_n=nominal.compliance_um_per_n / (1.0 + off * float(rng.uniform(-1.0, 1.0)))
@@ -72,7 +72,7 @@ def _stiffened(nominal: RobotModel, off: float, rng: np.random.Generator) -> Rob
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """A device's own random numbers: independent of who else draws, and when."""
+    """Return a device's private random numbers: independent of who else draws, and when."""
     return np.random.default_rng([seed, *name.encode()])
 
 
@@ -80,13 +80,13 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 
 def rotation_z(deg: float) -> FloatArray:
-    """Rotation about z."""
+    """Return the rotation about z."""
     c, s = math.cos(math.radians(deg)), math.sin(math.radians(deg))
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def rotation_rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:
-    """Intrinsic x-y'-z''."""
+    """Return the intrinsic x-y'-z'' rotation."""
     (ca, sa), (cb, sb) = [(math.cos(math.radians(v)), math.sin(math.radians(v))) for v in rpy_deg[:2]]
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
     about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
@@ -94,14 +94,14 @@ def rotation_rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:
 
 
 def tool_axis(a_deg: FloatArray, c_deg: FloatArray) -> FloatArray:
-    """(n,) A and C -> (n, 3) tool axis in the program's frame, from the tip into the spindle."""
+    """Turn (n,) A and C into (n, 3) tool axes in the program's frame, from the tip into the spindle."""
     a, c = np.radians(a_deg), np.radians(c_deg)
     return np.stack([np.sin(c) * np.sin(a), -np.cos(c) * np.sin(a), np.cos(a)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Where the part and the program lie."""
+    """The poses of the part and of the program."""
 
     plant: Plant
     to_part: FloatArray = field(init=False)
@@ -113,10 +113,10 @@ class Frames:
         object.__setattr__(self, "to_base", rotation_rpy(self.plant.rotation_rpy_deg))
 
     def in_part(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 5) X Y Z A C of the program -> tips (n, 3) in mm and tool axes (n, 3), part frame."""
+        """Turn (n, 5) X Y Z A C of the program into tips (n, 3) in mm and tool axes (n, 3), part frame."""
         tips = pose[:, :3] @ self.to_part.T + np.array(self.plant.program_offset_mm)
         return tips, tool_axis(pose[:, 3], pose[:, 4]) @ self.to_part.T
 
     def in_base(self, tips: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Tips and tool axes of the part's frame in the robot's base frame."""
+        """Turn tips and tool axes of the part's frame into the robot's base frame."""
         return tips @ self.to_base.T + np.array(self.plant.origin_mm), axes @ self.to_base.T

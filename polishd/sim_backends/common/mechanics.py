@@ -1,8 +1,8 @@
-"""The simulated robots' own mechanics: where they can be, and how far their tip gives way under a force.
+"""The mechanics of the simulated robots: their reach, and the deflection of the tip under a force.
 
-Written from statics, apart from the controller's (`process.robot`), which works from motions: here each unit force at
-the tip is followed through the members that carry it, and what each of them stores is summed (virtual work). Tests hold
-the two to each other. Units: mm, N, rad; the base frame is that of `model.robot`.
+Written from statics, apart from the controller's model (`process.robot`), which works from motions: here each unit
+force at the tip is followed through the members that carry it, and the energy stored in each is summed (virtual work).
+Tests compare the two. Units: mm, N, rad; the base frame is that of `model.robot`.
 """
 
 from __future__ import annotations
@@ -17,16 +17,18 @@ from scipy.spatial.transform import Rotation
 from polishd.model.process import HybridRobot, SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
 
-# The hybrid robot: three UPS limbs and one UP limb carry a platform, a C and an A joint the tool.
+# The hybrid robot: three UPS limbs and one UP limb carry a platform; a C and an A joint carry the tool.
 
 STRAIGHT_DEG = 0.1
-"""With A nearer to 0 than this C turns anywhere: its controller refuses to go there."""
+"""With A nearer to 0 than this, C may turn to any angle: the robot's controller refuses such a pose."""
 LOOSE = 1e-6
-"""Of a volume of unit vectors: less does not hold the platform; and of a sine: the UP limb along its own outer axis."""
+"""Limits of a volume of unit vectors (below it the limbs do not hold the platform) and of a sine (UP limb along its
+outer axis).
+"""
 ROUNDING_MM = 1e-6
 Z = np.array([0.0, 0.0, 1.0])
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-"""Of the UP limb: the square of a moment that grows evenly is integrated exactly from two places."""
+"""Of the UP limb: two points integrate the square of a moment that grows linearly exactly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class SimHybridPoses:
 
 
 def solve_hybrid_poses(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray) -> SimHybridPoses:
-    """Where its members are at tips (n, 3) and unit tool axes (n, 3)."""
+    """Return the positions of the members at tips (n, 3) and unit tool axes (n, 3)."""
     wrist = tip_mm + robot.tool_length_mm * axis
     distance = np.linalg.norm(wrist, axis=1)
     along = wrist / np.maximum(distance, 1e-300)[:, None]
@@ -81,7 +83,7 @@ def solve_hybrid_poses(robot: HybridRobot, tip_mm: FloatArray, axis: FloatArray)
 
 
 def hybrid_compliance_mm_per_n(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
-    """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the robot cannot be."""
+    """(n, 3, 3) displacement of the tip per force there, mm/N; 0 out of reach."""
     result = np.zeros((len(at.tip_mm), 3, 3))
     stored = _stored(robot, at)[at.reached]
     result[at.reached] = stored @ stored.transpose(0, 2, 1)
@@ -89,13 +91,13 @@ def hybrid_compliance_mm_per_n(robot: HybridRobot, at: SimHybridPoses) -> FloatA
 
 
 def _stored(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
-    """(n, 3, members) what a unit force along each axis does in each member, over the root of its stiffness."""
+    """(n, 3, members) load of each member from a unit force along each axis, over the root of its stiffness."""
     n = len(at.tip_mm)
     unit = np.broadcast_to(np.eye(3), (n, 3, 3))
     moment = np.cross(at.tip_mm[:, None], unit)  # of each unit force about the origin
-    asked = np.stack([at.along, moment @ at.outer, np.einsum("nfi,ni->nf", moment, at.inner)], axis=1)
+    load = np.stack([at.along, moment @ at.outer, np.einsum("nfi,ni->nf", moment, at.inner)], axis=1)
     safe = np.where(at.reached[:, None, None], at.carried, np.eye(3))
-    push = -np.linalg.solve(safe, asked).transpose(0, 2, 1)  # (n, force, limb)
+    push = -np.linalg.solve(safe, load).transpose(0, 2, 1)  # (n, force, limb)
     across = -(push @ at.limbs) - unit  # (n, force, 3) of the UP limb on the platform, through the origin
     couple_axis = np.cross(at.outer, at.inner)
     couple = -np.einsum("nfi,ni->nf", push @ np.cross(at.ends_mm, at.limbs) + moment, couple_axis)
@@ -117,14 +119,14 @@ def _stored(robot: HybridRobot, at: SimHybridPoses) -> FloatArray:
 
 
 def _limb_softness(robot: HybridRobot, limb_mm: FloatArray) -> FloatArray:
-    """mm/N of limbs of these lengths."""
+    """Return mm/N of limbs of these lengths."""
     if robot.limb_ea_n is None:
         return np.full_like(limb_mm, 1.0 / robot.limb_stiffness_n_per_mm)
     return np.asarray(limb_mm / robot.limb_ea_n)
 
 
 def _joints(robot: HybridRobot) -> tuple[FloatArray, FloatArray]:
-    """(3, 3) the limbs' ends at the base, and at the platform from its centre where the UP limb hangs along z."""
+    """(3, 3) ends of the limbs at the base, and at the platform from its center where the UP limb hangs along z."""
     angle = np.radians(robot.first_limb_deg) + np.arange(3) * np.radians(120.0)
     circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
     base = robot.base_radius_mm * circle if robot.base_joints_mm is None else np.array(robot.base_joints_mm)
@@ -133,7 +135,7 @@ def _joints(robot: HybridRobot) -> tuple[FloatArray, FloatArray]:
 
 
 def _across(along: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) what is perpendicular to e of (n, 3) directions: towards z, and towards e x z."""
+    """(n,) component of (n, 3) directions perpendicular to e: towards z, and towards e x z."""
     up = Z - outer[2] * outer
     up /= np.linalg.norm(up)
     return along @ up, along @ np.cross(outer, up)
@@ -157,13 +159,13 @@ def _turned(ends: FloatArray, along: FloatArray, outer: FloatArray) -> tuple[Flo
 
 
 def _turn(vector: FloatArray, about: FloatArray, cosine: FloatArray, sine: FloatArray) -> FloatArray:
-    """Rodrigues' formula: vectors (..., 3) turned about a unit axis (3,)."""
+    """Turn vectors (..., 3) about a unit axis (3,) (Rodrigues' formula)."""
     own = (vector @ about)[..., None] * about
     return np.asarray(cosine * (vector - own) + sine * np.cross(about, vector) + own)
 
 
 def _in_workspace(robot: HybridRobot, tip_mm: FloatArray, below_mm: FloatArray, up_mm: FloatArray) -> BoolArray:
-    """(n,) within the cylinder that its maker states; ``below_mm`` the wrist's, below the U joint."""
+    """(n,) within the cylinder that the maker states; ``below_mm`` is the wrist's, below the U joint."""
     height = robot.joint_height_mm - tip_mm[:, 2]
     low, high = robot.workspace_height_mm
     inside = np.hypot(tip_mm[:, 0], tip_mm[:, 1]) <= robot.workspace_radius_mm + ROUNDING_MM
@@ -171,36 +173,38 @@ def _in_workspace(robot: HybridRobot, tip_mm: FloatArray, below_mm: FloatArray, 
     return np.asarray(inside & (below_mm > 0.0) & (up_mm > 0.0))
 
 
-# A six-axis arm by its screws: where each joint's axis is at home, and how turning the joints moves what follows.
+# A six-axis arm by its screws: the axis of each joint at home, and how a turn of a joint moves all that follows.
 
 IntArray = NDArray[np.intp]
 
 SINGULAR = 1e-3
-"""Of the smallest to the largest singular value of the joints' motions, lengths over the arm's: its controller
-refuses to go there."""
+"""Ratio of the smallest to the largest singular value of the joint motions, lengths over the arm's: the robot's
+controller refuses poses below it.
+"""
 FEW = 256
-"""Poses led all the way from home; the others are led from poses that were found."""
+"""Poses that are solved all the way from home; the others start from poses that were found."""
 STARTS = 6
-"""Of the last joint at home, equal parts of a whole turn: it leads past no singular pose, and neither does the first,
-..."""
+"""Start angles of the last joint at home, equal parts of a turn: that turn passes no singular pose, as with the first,
+...
+"""
 SIDES = 4
-"""... which is turned, too, where home itself leads to none of the poses."""
+"""... which is turned, too, where home leads to none of the poses."""
 NEAREST = 4
-"""Poses found from which one that is left is led, the nearest first, ..."""
+"""Found poses from which a remaining pose is tried, the nearest first, ..."""
 ROUNDS = 6
 """... one in each round."""
 STEPS = 80
 STEP = 0.1
 """Longest step towards a pose: rad, or parts of the arm's length."""
 MOST_TURN = 0.3
-"""Of a joint in a step, rad: near a singular pose."""
+"""Longest turn of a joint in a step, rad: near a singular pose."""
 FOUND = 1e-10
-"""What may be left, in the same measure."""
+"""Largest residual, in the same measure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Screws:
-    """The arm at home: lines (6, 3) directions and places of its joints, tip (3,), flange (3, 3) axes as columns."""
+    """The arm at home: lines (6, 3) directions and positions of its joints, tip (3,), flange (3, 3) axes as columns."""
 
     direction: FloatArray
     place_mm: FloatArray
@@ -238,7 +242,7 @@ class SimSerialPoses:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """Poses that the arm was led to before."""
+    """Poses that the solver found before."""
 
     tip_mm: FloatArray
     """(n, 3)."""
@@ -251,9 +255,9 @@ class Known:
 def solve_serial_poses(
     robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Known | None = None
 ) -> SimSerialPoses:
-    """Lead the arm to tips (n, 3) mm and unit tool axes (n, 3), without passing a singular pose on the way.
+    """Solve the joints for tips (n, 3) mm and unit tool axes (n, 3), without a singular pose on the way.
 
-    From poses that are ``known``, where there are any, which is quicker; from home where that leads nowhere.
+    Start from ``known`` poses where there are any, which is faster, and from home where that fails.
     """
     if known is not None and len(known.tip_mm):
         count = len(known.tip_mm)
@@ -311,9 +315,9 @@ def _posed(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, known: Floa
 
 
 def serial_compliance_mm_per_n(robot: SerialRobot, at: SimSerialPoses) -> FloatArray:
-    """(n, 3, 3) displacement of the tip per force there, mm/N; 0 where the arm cannot be.
+    """(n, 3, 3) displacement of the tip per force there, mm/N; 0 out of reach.
 
-    A force's moment about a joint is force times what the tip moves for a turn of it.
+    The moment of a force about a joint is the force times the motion of the tip for a turn of the joint.
     """
     lever = at.motion[:, :3] * Screws.of(robot).length_mm * at.reached[:, None, None]
     stored = lever / np.sqrt(np.array(robot.joint_stiffness_n_mm_per_rad))
@@ -321,7 +325,7 @@ def serial_compliance_mm_per_n(robot: SerialRobot, at: SimSerialPoses) -> FloatA
 
 
 def _moved(angle: float, by: float, about: int) -> FloatArray:
-    """(4, 4) a turn about x (0) or z (2), and a shift along it."""
+    """(4, 4) turn about x (0) or z (2), and shift along it."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = ((about + 1) % 3, (about + 2) % 3)
     result = np.eye(4)
@@ -357,9 +361,9 @@ def _about(axis: FloatArray, angle: FloatArray) -> FloatArray:
 def _lead(
     screws: Screws, joints: FloatArray, tip_mm: FloatArray, flange: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Newton's steps from turns (n, 6), none longer than `STEP`: turns, `Posed.motion` and (n,) what is left.
+    """Take Newton's steps from turns (n, 6), none longer than `STEP`. Return turns, `Posed.motion` and residuals (n,).
 
-    Where the determinant of the motions changes its sign the arm has passed a singular pose: that way ends.
+    Where the determinant of the motions changes its sign the arm has passed a singular pose: that solution is dropped.
     """
     joints, motion, miss = joints.copy(), np.zeros((len(joints), 6, 6)), np.full(len(joints), np.inf)
     home = np.linalg.det(_motion(screws, np.zeros((1, 6)))[1][0])
@@ -386,7 +390,7 @@ def _lead(
 
 
 def _flange(robot: SerialRobot, axis: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(n, 3, 3) the flange's axes wanted, as columns, and (n,) whether ``flange_x`` tells which."""
+    """(n, 3, 3) wanted axes of the flange, as columns, and (n,) True where ``flange_x`` determines them."""
     z = -axis
     x = np.array(robot.flange_x) / np.linalg.norm(robot.flange_x)
     x = x - (z @ x)[:, None] * z
@@ -396,7 +400,7 @@ def _flange(robot: SerialRobot, axis: FloatArray) -> tuple[FloatArray, BoolArray
 
 
 def _within(robot: SerialRobot, joints: FloatArray) -> BoolArray:
-    """(n,) whether turns from home (n, 6), or those a whole turn on, are within the limits."""
+    """(n,) True where turns from home (n, 6), or those plus a full turn, are within the limits."""
     low, high = np.radians(robot.joint_limits_deg).T
     angle = np.radians(robot.home_deg) + (joints + np.pi) % (2.0 * np.pi) - np.pi
     fits = [((angle + turn >= low) & (angle + turn <= high)) for turn in (0.0, 2.0 * np.pi, -2.0 * np.pi)]
@@ -404,19 +408,19 @@ def _within(robot: SerialRobot, joints: FloatArray) -> BoolArray:
 
 
 def reached(robot: HybridRobot | SerialRobot, tip_mm: FloatArray, axis: FloatArray) -> BoolArray:
-    """(n,) whether the robot can be there: tips (n, 3) mm, unit tool axes (n, 3) from the tip into the spindle."""
+    """(n,) True where the robot reaches: tips (n, 3) mm, unit tool axes (n, 3) from the tip into the spindle."""
     if isinstance(robot, HybridRobot):
         return solve_hybrid_poses(robot, tip_mm, axis).reached
     return solve_serial_poses(robot, tip_mm, axis).reached
 
 
 KEPT = 16
-"""Poses of the last ones that were reached."""
+"""Poses of the last reached points."""
 
 
 @dataclass(slots=True)
 class Reaching:
-    """A controller that is shown one part of a path after the other: it leads an arm on from where it was led last."""
+    """A controller that gets a path in parts: each part starts from the pose where the last one ended."""
 
     robot: HybridRobot | SerialRobot
     _known: Known | None = field(default=None, init=False)
@@ -435,7 +439,7 @@ class Reaching:
 def tip_gives_mm_per_n(
     robot: HybridRobot | SerialRobot, tip_mm: FloatArray, axis: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Whether the robot can be there (n,), and displacement of the tip per force (n, 3, 3), mm/N; 0 where it cannot.
+    """(n,) True within reach, and (n, 3, 3) displacement of the tip per force, mm/N; 0 out of reach.
 
     Arguments as of `reached`.
     """

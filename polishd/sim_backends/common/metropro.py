@@ -1,4 +1,4 @@
-"""MetroPro .dat files: the instrument's writer, and a small reader for maps that a simulated part starts from.
+"""MetroPro .dat files: the instrument's writer, and a small reader for the maps of a simulated part.
 
 Layout and test vector: docs/protocols/metropro_dat.md.
 """
@@ -25,7 +25,7 @@ UNIT_NM = SCALE * float(np.float32(WAVELENGTH_M)) * OBLIQUITY / RESOLUTION[2] * 
 
 @dataclass(frozen=True, slots=True)
 class DatMap:
-    """What a file holds: heights (rows, columns) in nm, NaN = no data, row 0 the top; pitch 0 = not calibrated."""
+    """Content of a file: heights (rows, columns) in nm, NaN = no data, row 0 the top; pitch 0 = not calibrated."""
 
     height_nm: FloatArray
     pitch_mm: float
@@ -38,7 +38,7 @@ class DatMap:
 
 
 def pack(data: DatMap) -> bytes:
-    """The file's bytes."""
+    """Return the bytes of the file."""
     rows, columns = data.height_nm.shape
     raw = np.full(data.height_nm.shape, MISSING, dtype=np.int64)
     valid = np.isfinite(data.height_nm)
@@ -68,7 +68,7 @@ def pack(data: DatMap) -> bytes:
 
 
 def unpack(data: bytes, name: str = "map") -> DatMap:
-    """Read a complete file; BadMap says what is wrong."""
+    """Parse a complete file. BadMap names the problem."""
     if len(data) < HEADER or struct.unpack_from(">I", data)[0] not in MAGICS:
         raise MapError(f"{name}: not a MetroPro file")
     (header,) = struct.unpack_from(">i", data, 6)

@@ -1,4 +1,4 @@
-"""A device on numbered lines: the framing of docs/protocols/loader.md, for those that only answer."""
+"""The device side of numbered lines: the framing of docs/protocols/loader.md, for devices that only answer."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
 
 Answer = Callable[[str], str]
-"""What is answered to a request."""
+"""Returns the answer to a request."""
 
 
 class LineDeviceModel(Protocol):
-    """What the line is asked about."""
+    """The machine behind the line."""
 
     def step(self, now_s: float) -> None:
-        """Bring it to the present."""
+        """Advance to the present."""
         ...
 
 
 @dataclass(slots=True)
 class NumberedSlave:
-    """Answers each intact line by one line."""
+    """Answer each intact line by one line."""
 
     answer: Answer
     _buffer: bytes = b""
 
     def feed(self, data: bytes) -> Iterable[bytes]:
-        """The answer to each whole request."""
+        """Return the answer to each whole request."""
         self._buffer += data
         while b"\n" in self._buffer:
             raw, self._buffer = self._buffer.split(b"\n", 1)
@@ -46,7 +46,7 @@ class NumberedSlave:
 async def serve(
     runtime: SimRuntime, config: SimLineSection, machine: LineDeviceModel, answer: Answer, tick_s: float
 ) -> None:
-    """Answer for the machine, for good; it is brought to the present before each answer, and every ``tick_s``."""
+    """Answer for the machine until cancelled. It is advanced before each answer and every ``tick_s``."""
 
     def receiver(outlet: FaultyLink) -> Feed:
         slave = NumberedSlave(answer)

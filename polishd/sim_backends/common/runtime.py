@@ -1,4 +1,4 @@
-"""What every simulated process shares: its start, its identity, its end. None outlives its parent."""
+"""Start, identity and end of every simulated process. Each one ends with its parent."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.faults import FaultScript, require_possible
 from polishd.sim_backends.common.registry import config_model
 
-# The local socket between the plant and the devices: who is there, what they do, and up to when they vouch for it.
+# The local socket between the plant and the devices: which devices are there, their motion, and the time up to which
+# each vouches for it.
 
 ROW = ("seq", "wall0", "wall1", "dt", "x", "y", "z", "a", "c")
 """Columns of motion rows: block, wall seconds from and to, process seconds, pose half-way (program frame, mm, deg)."""
@@ -37,19 +38,19 @@ Message = dict[str, Any]
 
 
 def pack_json(message: Message) -> bytes:
-    """A JSON frame."""
+    """Return a JSON frame."""
     payload = json.dumps(message, separators=(",", ":")).encode()
     return _HEAD.pack(len(payload), 0) + payload
 
 
 def pack_rows(rows: FloatArray) -> bytes:
-    """A frame of (n, k) float64 rows."""
+    """Return a frame of (n, k) float64 rows."""
     body = np.ascontiguousarray(rows, dtype="<f8").tobytes()
     return _HEAD.pack(len(body) + 4, 1) + struct.pack(">I", rows.shape[1]) + body
 
 
 async def read_frame(reader: asyncio.StreamReader) -> Message | FloatArray | None:
-    """The next frame, or None at the end of the connection."""
+    """Return the next frame, or None at the end of the connection."""
     try:
         length, kind = _HEAD.unpack(await reader.readexactly(_HEAD.size))
         payload = await reader.readexactly(length)
@@ -63,13 +64,13 @@ async def read_frame(reader: asyncio.StreamReader) -> Message | FloatArray | Non
 
 
 def socket_path(folder: int) -> str:
-    """The socket's path through an open folder: the folder's own path may be too long for a socket address."""
+    """Return the socket's path through an open folder: the path of the folder may be too long for a socket address."""
     return f"/proc/self/fd/{folder}/{SOCKET}"
 
 
 @dataclass
 class PlantLink:
-    """A device's end. Sends never wait; ``run`` reads until the plant is gone."""
+    """The device end of the socket. Sends never wait; ``run`` reads until the plant is gone."""
 
     device: str
     welcome: Message
@@ -77,33 +78,33 @@ class PlantLink:
     writer: asyncio.StreamWriter
     on_message: Callable[[Message | FloatArray], None] = field(default=lambda _message: None)
     on_force: Callable[[float], None] = field(default=lambda _acting_n: None)
-    """Told what acts between tool and part now, in N."""
+    """Called with the force between tool and part, in N."""
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
-        """Tell the witness what happened, and when (time.monotonic)."""
-        self.ask(event=name, t=time.monotonic() if at_s is None else at_s, **data)
+        """Report an event and its time (time.monotonic) to the event log."""
+        self.send_message(event=name, t=time.monotonic() if at_s is None else at_s, **data)
 
     def samples(self, values: list[tuple[float, float]], mark_s: float) -> None:
-        """(time, value) points of this device's force or speed, and up to when they hold."""
-        self.ask(samples=values, mark=mark_s)
+        """Send (time, value) points of this device's force or speed, and the time up to which they hold."""
+        self.send_message(samples=values, mark=mark_s)
 
     def rows(self, rows: FloatArray, mark_s: float, pose: tuple[float, ...]) -> None:
-        """Motion since the last call, and the pose at its end; what is not covered by rows was standstill."""
+        """Send motion since the last call and the pose at its end; time without rows was standstill."""
         if len(rows):
             self.writer.write(pack_rows(rows))
-        self.ask(mark=mark_s, pose=pose)
+        self.send_message(mark=mark_s, pose=pose)
 
     def pace(self, pace: float, at_s: float) -> None:
-        """Planned motion within a second of motion, from then on (time.monotonic)."""
-        self.ask(pace=pace, t=at_s)
+        """Send the planned motion within a second of motion, from then on (time.monotonic)."""
+        self.send_message(pace=pace, t=at_s)
 
-    def ask(self, **message: Any) -> None:
-        """Any other message."""
+    def send_message(self, **message: Any) -> None:
+        """Send any other message."""
         if not self.writer.is_closing():
             self.writer.write(pack_json(message))
 
     async def run(self) -> None:
-        """Hand over what the plant says; returns when it is gone."""
+        """Pass on the plant's messages; return when it is gone."""
         while (message := await read_frame(self.reader)) is not None:
             if isinstance(message, dict) and "acting_n" in message:
                 self.on_force(float(message["acting_n"]))
@@ -127,11 +128,11 @@ async def connect(state: Path, device: str, **hello: Any) -> PlantLink:
 LOOPBACK = "127.0.0.1"
 PARENT_S = 0.2
 ROOT = Path(__file__).resolve().parents[3]
-"""Where the package lies."""
+"""Folder of the package."""
 
 
 def read_config(path: Path) -> SimConfig:
-    """SIM.toml; ConfigError, too, where it scripts a fault that its device or its link cannot have."""
+    """Read SIM.toml. ConfigError, too, where it scripts a fault that its device or link cannot have."""
     config = load_simulator(path, config_model)
     require_possible(config)
     return config
@@ -139,7 +140,7 @@ def read_config(path: Path) -> SimConfig:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """How a process was asked to start."""
+    """Start arguments of a process."""
 
     config: SimConfig
     state: Path
@@ -148,10 +149,10 @@ class Start:
     surface: Path | None = None
     rebooted: bool = False
     only: tuple[str, ...] = ()
-    """Devices that the supervisor starts; empty: all that the config has."""
+    """Devices that the supervisor starts; empty: all of the config."""
 
     def again(self) -> Start:
-        """With what SIM.toml says now."""
+        """Return the start with the present content of SIM.toml."""
         return changed(self, config=read_config(self.config.path))
 
 
@@ -167,25 +168,25 @@ class SimRuntime:
     stop: asyncio.Event = field(default_factory=asyncio.Event)
     boot_id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     on_again: list[Callable[[], object]] = field(default_factory=list)
-    """Who keeps a copy of what SIM.toml says: called when it was read again."""
+    """Callbacks that run when SIM.toml was read again."""
     script: FaultScript = field(init=False)
 
     def __post_init__(self) -> None:
-        """With the faults of its own."""
+        """Create it with the faults of its device."""
         self.script = FaultScript(self.name, self.start.seed, self.link.event, reboot=self.reboot)
 
     def begin_script(self) -> None:
-        """From now on the faults of SIM.toml happen."""
+        """Begin the faults of SIM.toml."""
         self.script.set(self.start.config.fault, time.monotonic(), rebooted=self.start.rebooted)
         self.group.create_task(self.script.run())
 
     def ready(self, endpoint: str) -> None:
-        """Tell the supervisor that the device answers there."""
+        """Report to the supervisor that the device answers there."""
         announce(self.name, endpoint)
         self.link.event("boot", boot_id=self.boot_id, boot_count=self.boot_count)
 
     def button(self, number: signal.Signals, action: Callable[[], object]) -> None:
-        """A fault at the press of a button: the signal that a test, or a person, sends to this process."""
+        """Trigger a fault by the signal that a test or a person sends to this process."""
 
         def pressed() -> None:
             self.link.event("button", signal=number.name)
@@ -194,14 +195,14 @@ class SimRuntime:
         asyncio.get_running_loop().add_signal_handler(number, pressed)
 
     def again(self) -> None:
-        """Read SIM.toml again: faults and the truth may be others from now on; ports, times and places stay."""
+        """Read SIM.toml again: faults and the truth may change; ports, times and paths stay."""
         self.start = self.start.again()
         self.script.set(self.start.config.fault, time.monotonic())
-        for told in self.on_again:
-            told()
+        for callback in self.on_again:
+            callback()
 
     async def serve(self, protocol: Callable[[], asyncio.Protocol], port: int) -> int:
-        """Listen on loopback; returns the port. A port of 0 becomes the one of the last start, if it is free."""
+        """Listen on loopback; return the port. Port 0 becomes the port of the last start, if it is free."""
         loop = asyncio.get_running_loop()
         kept = self.start.state / f".{self.name}.port"
         wishes = [port] if port else [*map(int, _read(kept).split()), 0]
@@ -219,7 +220,7 @@ class SimRuntime:
         return 0
 
     def reboot(self) -> None:
-        """Lose power, and come up again in the same process."""
+        """Lose power and come up again in the same process."""
         self.link.event("reboot")
         self.group.create_task(self._reboot())
 
@@ -229,7 +230,7 @@ class SimRuntime:
         arguments = [sys.executable, "-m", "polishd.sim_backends", *known, "--rebooted"]
         terminal = self.start.state / self.name
         if terminal.is_symlink():
-            terminal.unlink()  # the terminal ends with this program, and its number is the next one's
+            terminal.unlink()  # the terminal ends with this program, and the kernel gives its number to the next one
         os.execv(sys.executable, arguments)  # noqa: S606  (no shell: the process replaces itself)
 
 
@@ -237,9 +238,9 @@ Device = Callable[[SimRuntime], Coroutine[Any, Any, None]]
 
 
 def as_hardware() -> None:
-    """Before other programs, where that is allowed: what stands for a machine is not starved by a busy computer.
+    """Raise the priority where that is allowed: a busy computer must not starve a simulated machine.
 
-    Nothing is collected until it is up, see `announce`: on the way there all that is made stays.
+    Garbage is not collected before the device is up, see `announce`: all objects made on the way there stay.
     """
     gc.disable()
     with contextlib.suppress(PermissionError):
@@ -247,10 +248,10 @@ def as_hardware() -> None:
 
 
 def announce(name: str, endpoint: str) -> None:
-    """One line for the supervisor.
+    """Write one line for the supervisor.
 
-    What the process has by now it has for good, and the garbage collector is to look at it no more: half a million
-    objects of an OPC UA server took it 0.3 s, and ten times as long beside ten busy programs. No hardware pauses so.
+    The objects that exist by now stay, and the garbage collector skips them from now on: half a million objects of an
+    OPC UA server took it 0.3 s, and ten times as long beside ten busy programs. No hardware pauses for so long.
     """
     gc.freeze()
     gc.enable()
@@ -259,14 +260,14 @@ def announce(name: str, endpoint: str) -> None:
 
 
 def replace_file(path: Path, data: bytes) -> None:
-    """Write a file whole."""
+    """Replace a file whole."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     beside.write_bytes(data)
     beside.replace(path)
 
 
 async def until_ended(stop: asyncio.Event) -> None:
-    """Set ``stop`` at SIGTERM, SIGINT, or when the parent is gone; returns then."""
+    """Set ``stop`` at SIGTERM, at SIGINT, or when the parent is gone; return then."""
     loop = asyncio.get_running_loop()
     parent = os.getppid()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -279,7 +280,7 @@ async def until_ended(stop: asyncio.Event) -> None:
 
 
 async def run_device(name: str, start: Start, device: Device, **hello: Any) -> None:
-    """Connect to the plant, run the device until the end of the process, the plant or the parent."""
+    """Connect to the plant and run the device until the process, the plant or the parent ends."""
     link = await connect(start.state, name, **hello)
     async with asyncio.TaskGroup() as group:
         runtime = SimRuntime(name, start, _power_up(start.state, name), link, group)

@@ -1,4 +1,4 @@
-"""The voice coil's behaviour, whatever protocol it is asked in. Pure of I/O; wall times are handed in."""
+"""The behavior of the voice coil, for every protocol. Pure of I/O; the caller passes wall times."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ RETRACTED, EXTENDING, CONTACT, RETRACTING, FAULT = range(5)
 WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8
 
 TOUCH_UM = 5000.0
-"""Where the tool's tip is where the program says: there it meets a part that lies where it should."""
+"""Position at which the tool's tip is where the program commands it: there it meets a part in its nominal position."""
 STROKE_UM = 10000.0
 FOLLOWS_UM = 50.0
-"""The bonnet keeps touching a surface that moves away from it by so much within a step."""
+"""The bonnet keeps contact with a surface that moves away from it by at most this much within a step."""
 LIFTED_UM = 200.0
-"""So far from the touch the tool counts as lifted."""
+"""The tool counts as lifted at this distance from the contact."""
 RISE_N_S = 240.0
 FALL_N_S = 1200.0
 STEP_S = 0.005
@@ -29,15 +29,15 @@ Refusal = Literal["", "range", "fault"]
 
 
 COIL_FAULTS = ("freeze", "drift", "stick", "spike", "press", "lie")
-"""States of ``[[fault]]`` that it can be in."""
+"""States of ``[[fault]]`` that it can have."""
 
 
 @dataclass(frozen=True, slots=True)
 class CoilDynamics:
-    """How fast it moves, wall time, and what its tool weighs."""
+    """Speeds of motion, wall time, and weight of the tool."""
 
     land_s: float = 0.125
-    """From its rest to the part."""
+    """From its rest position to the part."""
     lift_s: float = 0.0625
     """From force off to its rest: for ``stick_share`` of it the tool stays in place, under ``resting_force_n``."""
     stick_share: float = 0.0
@@ -50,7 +50,7 @@ class VoiceCoil:
 
     rng: np.random.Generator
     report: Callable[..., None]
-    """Tells the witness: (event, at_s, **data)."""
+    """Write to the event log: (event, at_s, **data)."""
     now_s: float
     pace: CoilDynamics = CoilDynamics()
     setpoint_n: float = 0.0
@@ -58,35 +58,35 @@ class VoiceCoil:
     heartbeat: int = 0
     engaged: bool = False
     touch_um: float | None = None
-    """Position at which the tool meets the part, as the plant says; None: nothing is within its reach."""
+    """Position at which the tool meets the part, from the plant; None: nothing is within its reach."""
     faults: int = 0
     position_um: float = 0.0
     force_n: float = 0.0
     samples: list[tuple[float, float]] = field(default_factory=list)
-    """(time, true force) since they were last taken."""
+    """(time, true force) since the points were last taken."""
     stuck: bool = False
-    """The force falls to 60 % in contact, whatever is asked."""
+    """The force falls to 60 % in contact, whatever the set point is."""
     hung: bool = False
-    """Its firmware has died: it goes on pressing, answers nobody, and watches nothing."""
+    """The firmware has died: it keeps pressing, gives no answers and watches nothing."""
     drift_n_s: float = 0.0
-    """How fast its own sensor drifts, ..."""
+    """Drift rate of its force sensor, ..."""
     drift_n: float = 0.0
-    """... and what it reads too much by now: it regulates by that."""
+    """... and the drift so far: the force control uses the drifted reading."""
     frozen_n: float | None = None
-    """What its own sensor reads, whatever acts; None: what acts."""
+    """Fixed reading of its force sensor; None: the true force."""
     spike_n: float = 0.0
-    """What acts beside the regulated force, from one step to the next."""
+    """Force beside the regulated one, from one step to the next."""
     pressed_n: float | None = None
-    """What it exerts in contact, whatever is asked; None: what is asked."""
+    """Force that it exerts in contact, whatever the set point is; None: the set point."""
     factor: float = 1.0
-    """What share of the force its own sensor reads, ..."""
+    """Gain of its force sensor, ..."""
     offset_n: float = 0.0
-    """... and how much more. It regulates by that, where it reads any of the force."""
+    """... and offset. The force control uses the reading, where it contains any of the force."""
     _clung_s: float = 0.0
     _fed_s: float = 0.0
     _touching: bool = False
     _touched_um: float = TOUCH_UM
-    """Where it met the part last."""
+    """Position of the last contact with the part."""
     _noise: float = 0.0
     _spiked_n: float = 0.0
     """Share of ``force_n`` that is a spike."""
@@ -107,14 +107,14 @@ class VoiceCoil:
 
     @property
     def measured_n(self) -> float:
-        """What the force sensor reads."""
+        """The reading of the force sensor."""
         if self.frozen_n is not None:
             return self.frozen_n
         actual = self.force_n * (1.0 + self._noise) if self._touching else 0.0
         return self.factor * actual + self.offset_n + self.drift_n + 0.01 * float(self.rng.standard_normal())
 
     def suffer(self, fault: FaultSection, on: bool) -> None:
-        """Get into that state, or out of it; what has drifted stays."""
+        """Set or clear that state; drift so far stays."""
         if fault.what == "stick":
             self.stuck = on
         elif fault.what == "drift":
@@ -129,7 +129,7 @@ class VoiceCoil:
             self.frozen_n = self.measured_n if on else None
 
     def set_force(self, force_n: float) -> Refusal:
-        """New set point."""
+        """Take a new set point."""
         if not 0.0 <= force_n <= 50.0:
             return "range"
         if force_n != self.setpoint_n:
@@ -156,19 +156,19 @@ class VoiceCoil:
         return ""
 
     def set_watchdog(self, milliseconds: int) -> Refusal:
-        """New watchdog time."""
+        """Take a new watchdog time."""
         if not 100 <= milliseconds <= 5000:
             return "range"
         self.watchdog_ms = milliseconds
         return ""
 
     def feed(self, value: int) -> Refusal:
-        """Hear the controller's heartbeat."""
+        """Take the controller's heartbeat."""
         self.heartbeat, self._fed_s = value & 0xFFFF, self.now_s
         return ""
 
     def step(self, now_s: float) -> None:
-        """Bring the actuator to the present, in steps that its ramps can bear."""
+        """Advance the actuator to the present, in steps short enough for its ramps."""
         while self.now_s < now_s:
             dt = min(STEP_S, now_s - self.now_s)
             self.now_s += dt
@@ -211,7 +211,7 @@ class VoiceCoil:
         self.force_n = regulated_n + self._spiked_n
 
     def _drifted(self, dt: float) -> float:
-        """By how much its sensor reads too much by now."""
+        """The drift of its sensor so far."""
         if self.drift_n_s:
             self.drift_n = min(max(self.drift_n + self.drift_n_s * dt, -MOST_DRIFT_N), MOST_DRIFT_N)
         return self.drift_n
@@ -234,7 +234,7 @@ class VoiceCoil:
             self.report("retracted", self.now_s)
 
     def _clings(self, dt: float) -> bool:
-        """The force goes, and the tool still rests on the part for a while."""
+        """Reduce the force to 0 while the tool still rests on the part for a while."""
         resting_force_n = min(self.pace.resting_force_n, self.force_n)
         if self.force_n > resting_force_n:
             self.force_n = max(self.force_n - FALL_N_S * dt, resting_force_n)

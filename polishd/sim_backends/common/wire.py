@@ -1,4 +1,4 @@
-"""A device's wire, serial or TCP, with its faults: bytes in, bytes out."""
+"""A device's link, serial or TCP, with its faults: bytes in, bytes out."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from polishd.config.simulator import SimLineSection
 from polishd.sim_backends.common.faults import PROTOCOLS, FaultScript, FrameAction, LinkDirection, protocols
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime
 
-# Frames on their way through a link: late, lost and damaged as the script says, and at the pace of the line.
+# Frames on their way through a link: late, lost and damaged as the script demands, at the speed of the line.
 
 
 @dataclass(eq=False, slots=True)
 class FaultyLink:
-    """One direction of one connection. Where ``byte_s`` is above 0, it has the pace of a serial line."""
+    """One direction of one connection. With ``byte_s`` above 0 it has the speed of a serial line."""
 
     write: Callable[[bytes], None]
     script: FaultScript
@@ -29,9 +29,9 @@ class FaultyLink:
     byte_s: float = 0.0
     chunk: int = 16
     backlog: Callable[[], int] = lambda: 0
-    """Bytes that the other end has not taken yet."""
+    """Bytes that the other end has not read yet."""
     on_closed: Callable[[], None] = lambda: None
-    """Told when nobody is at the other end any more."""
+    """Called when the other end is gone."""
     closed: bool = False
     _queue: asyncio.Queue[tuple[float, bytes]] = field(default_factory=asyncio.Queue)
     _under_way: int = 0
@@ -39,7 +39,7 @@ class FaultyLink:
     """The begin of a frame."""
 
     def send(self, data: bytes, delay_s: float = 0.0) -> None:
-        """Send after a delay; never waits."""
+        """Send after a delay; never wait."""
         if self.closed:
             return
         if not (self.script.troubles or self.byte_s or delay_s or self._under_way or self._rest):
@@ -49,7 +49,7 @@ class FaultyLink:
             self._queue.put_nowait((delay_s, data))
 
     async def run(self) -> None:
-        """Work off the queue, for ever."""
+        """Work off the queue until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             wait_s, data = await self._queue.get()
@@ -60,7 +60,7 @@ class FaultyLink:
             self._under_way -= 1
 
     def _frames(self, data: bytes) -> Iterator[bytes]:
-        """Whole frames; without a script, what is there."""
+        """Return whole frames; without a script, all bytes that are there."""
         self._rest += data
         while self._rest:
             size = PROTOCOLS[self.way.protocol].cut(self._rest) if self.script.troubles else len(self._rest)
@@ -93,38 +93,38 @@ MAX_UNSENT = 8 << 20
 """Bytes that a peer may leave unread before it is cut off."""
 
 Feed = Callable[[bytes], None]
-"""Takes bytes that came."""
+"""Takes received bytes."""
 
 
 @dataclass(slots=True)
 class SimWire:
-    """Opens one link of a device, and pulls its plug where that is asked for."""
+    """Open one link of a device, and disconnect it on request."""
 
     runtime: SimRuntime
     receiver: Callable[[FaultyLink], Feed]
     """Makes the receiver of one connection, which answers through the outlet."""
     link: str = ""
-    """Its name, where the device has several."""
+    """Name of the link, where the device has several."""
     cuts: list[Callable[[], None]] = field(default_factory=list)
     pulled: bool = False
-    """Nobody can be at the other end."""
+    """The other end cannot be connected now."""
     _port: PtyPort | None = None
 
     def __post_init__(self) -> None:
-        """From now on its faults may come."""
+        """Start the script: from now on its faults may begin."""
         self.runtime.script.unplug.append((self.link, self.pull, self.plug))
 
     def outlet(self, write: Callable[[bytes], None], direction: str, **more: Any) -> FaultyLink:
-        """One direction of a connection, with its faults."""
+        """Make one direction of a connection, with its faults."""
         protocol = protocols(self.runtime.start.config, self.runtime.name)[self.link]
         return FaultyLink(write, self.runtime.script, LinkDirection(self.link, protocol, direction), **more)
 
     def inlet(self, outlet: FaultyLink) -> FaultyLink:
-        """The other direction of the connection that has this outlet."""
+        """Return the other direction of the connection that has this outlet."""
         return self.outlet(self.receiver(outlet), "to_device")
 
     def open_pty(self, baud: int) -> None:
-        """A serial line behind the device's stable name; bytes take the time that the baud rate says."""
+        """Open a serial line under the device's stable name; bytes take the time of the baud rate."""
         port = self._port = PtyPort(self.runtime.start.state / self.runtime.name, lambda _data: None)
         outlet = self.outlet(port.write, "to_host", byte_s=10.0 / baud)
         inlet = self.inlet(outlet)
@@ -141,35 +141,35 @@ class SimWire:
             self.runtime.group.create_task(way.run())
 
     async def open_tcp(self, port: int, greeting: bytes = b"") -> str:
-        """A TCP port on loopback; returns ``host:port``."""
+        """Open a TCP port on loopback; return ``host:port``."""
         return f"{LOOPBACK}:{await self.runtime.serve(lambda: SimTcpConnection(self, greeting), port)}"
 
     async def open_line(self, config: SimLineSection) -> str:
-        """Whichever line the section asks for; returns the endpoint."""
+        """Open the line that the section configures; return the endpoint."""
         if config.kind == "tcp":
             return f"tcp://{await self.open_tcp(config.port)}"
         self.open_pty(config.baud)
         return f"serial:{self.runtime.start.state / self.runtime.name}?baud={config.baud}"
 
     def ready(self, endpoint: str) -> None:
-        """The device answers there, and its script begins."""
+        """Announce the endpoint and start the script."""
         self.runtime.ready(endpoint)
         self.runtime.button(signal.SIGURG, self.cut)
         self.runtime.begin_script()
 
     def pull(self) -> None:
-        """Disconnect everyone, and let nobody connect again."""
+        """Disconnect all clients and refuse new connections."""
         self.pulled = True
         self.cut()
 
     def plug(self) -> None:
-        """Put it in again."""
+        """Accept connections again."""
         if self.pulled and self._port is not None:
             self._port.open()
         self.pulled = False
 
     def cut(self) -> None:
-        """Disconnect everyone, once."""
+        """Disconnect all clients once."""
         self.runtime.link.event("wire_cut")
         for cut in list(self.cuts):
             cut()
@@ -197,11 +197,11 @@ class SimTcpConnection(asyncio.Protocol):
             self._transport.write(self._greeting)
 
     def data_received(self, data: bytes) -> None:
-        """Hand over."""
+        """Pass the bytes on."""
         self._inlet.send(data)
 
     def connection_lost(self, _exc: Exception | None) -> None:
-        """Forget it."""
+        """Drop the connection."""
         for worker in self._workers:
             worker.cancel()
         self._wire.cuts.remove(self._cut)
@@ -236,9 +236,9 @@ class PtyPort:
         beside.replace(self.link)
 
     def close(self) -> None:
-        """Pull the plug: whoever has it open reads an error, and who opens it finds none.
+        """Remove the terminal: a client that has it open reads an error, and a new one finds no file.
 
-        The kernel gives a closed terminal's number to the next one: a link left behind leads to another cell's device.
+        The kernel reuses the number of a closed terminal: a link left behind leads to the device of another cell.
         """
         if self._master < 0:
             return
@@ -249,7 +249,7 @@ class PtyPort:
         self._master = self._slave = -1
 
     def write(self, data: bytes) -> None:
-        """Send; what nobody reads is lost once the line is full."""
+        """Send bytes; a full line drops those that the client does not read."""
         if self._master >= 0:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)

@@ -1,4 +1,4 @@
-"""The process: a LinuxCNC in namespaces of its own, its operator, and reports to the plant."""
+"""The process: LinuxCNC in private namespaces, its operator, and reports to the plant."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ from polishd.sim_backends.linuxcnc.machine import (
 
 TICK_S = 0.01
 TURN_S = 0.05
-"""Between two turns of the pendant: each is a command that LinuxCNC's task has to take."""
+"""Time between two changes at the pendant: LinuxCNC's task takes each as a command."""
 START_S = 25.0
 ISOLATE = (
     *("setpriv", "--pdeathsig", "KILL", "unshare", "--map-root-user", "--mount", "--ipc", "--pid", "--fork"),
     *("--kill-child", "--mount-proc", "sh", "-c"),
 )
-"""Own processes, since ``linuxcnc`` ends by name whatever looks like another one; and all end with ours."""
+"""A private process namespace: the script ``linuxcnc`` ends other instances by name. All processes end with ours."""
 INSIDE = (
     'mount --bind "$1" {mount} && mount -t tmpfs none /tmp && cd {mount} && HOME={mount} '
     "exec unshare --map-user=1000 --map-group=1000 linuxcnc -r {mount}/machine.ini"
 )
-"""It refuses root, keeps its lock in /tmp, and its sockets have short names only."""
+"""LinuxCNC refuses root, keeps its lock in /tmp, and allows short socket names only."""
 
 
 class LinuxCncServer:
-    """Everything that the process holds."""
+    """All state of the process."""
 
     def __init__(self, runtime: SimRuntime) -> None:
         start = runtime.start
@@ -62,17 +62,17 @@ class LinuxCncServer:
         self._moved = self._rested = False
         self._override = SpeedOverride()
         self._turned = (1.0, False)
-        """The pendant's wheel and interlock, ..."""
+        """Wheel and interlock of the pendant, ..."""
         self._turned_s = 0.0
-        """... and when they were turned last."""
+        """... and the time of their last change."""
         runtime.script.suffer = self._override.suffer
 
     async def run(self) -> None:
-        """Until it is cancelled."""
+        """Run until it is cancelled."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.machine.write(self.folder)
         os.mkfifo(self.folder / MOTION)
-        fifo = os.open(self.folder / MOTION, os.O_RDWR | os.O_NONBLOCK)  # also for writing: never at its end
+        fifo = os.open(self.folder / MOTION, os.O_RDWR | os.O_NONBLOCK)  # opened for writing too: never at its end
         loop = asyncio.get_running_loop()
         loop.add_reader(fifo, lambda: self.sampled.feed(os.read(fifo, 1 << 16), time.monotonic()))
         try:
@@ -91,7 +91,7 @@ class LinuxCncServer:
                 self._process.kill()
 
     def report(self) -> None:
-        """Tell the plant what moved since the last time."""
+        """Report the motion since the last call to the plant."""
         sampled, link = self.sampled, self._runtime.link
         rows = sampled.take_rows()
         if sampled.moving and not self._moved:
@@ -105,7 +105,7 @@ class LinuxCncServer:
         self._moved, self._rested = sampled.moving, sampled.rests
 
     def _turn(self, now_s: float) -> None:
-        """Work the pendant as the faults of the script say."""
+        """Work the pendant as the faults of the script demand."""
         turned = self._override.reported(now_s), self._override.stands
         if turned != self._turned and now_s >= self._turned_s + TURN_S:
             self._turned, self._turned_s = turned, now_s
@@ -134,7 +134,7 @@ class LinuxCncServer:
 
 
 async def switch_on(port: int) -> None:
-    """What an operator does: out of e-stop, on, homed. DeviceFault where it does not come up."""
+    """Act as the operator: out of e-stop, on, homed. DeviceFault where LinuxCNC does not come up."""
     try:
         async with asyncio.timeout(START_S):
             reader, writer = await _connect(port)
@@ -164,7 +164,7 @@ async def _connect(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWrite
 
 
 def require_alone(path: Path = Path("/proc/self/ns/net")) -> None:
-    """ConfigError unless nobody can reach linuxcncrsh, which listens on every interface and guards nothing."""
+    """ConfigError where another computer can reach linuxcncrsh, which listens on every interface without protection."""
     others = [name for _, name in socket.if_nameindex() if name != "lo"]
     if others:
         raise ConfigError(
@@ -174,7 +174,7 @@ def require_alone(path: Path = Path("/proc/self/ns/net")) -> None:
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     require_alone()
     if runtime.start.speed != 1.0:
         raise ConfigError("robot.kind = 'linuxcnc' runs in real time. To do: plant.speed = 1, or --speed 1")

@@ -1,13 +1,13 @@
-"""A HAL component between polishd and linuxcncrsh: when polishd falls silent, motion is held.
+"""A HAL component between polishd and linuxcncrsh: it holds motion when polishd falls silent.
 
     loadusr -Wn polishd-gate /usr/bin/python3 gate.py 0.0.0.0:5008 127.0.0.1:5007 2.0
     net polishd-idle  halui.program.is-idle => polishd-gate.idle
     net polishd-hold  polishd-gate.hold     => motion.feed-hold
 
-Bytes pass unchanged, but for one request: ``set enable`` of a second client is refused while the first is connected and
-not silent; linuxcncrsh would let it take over. ``hold`` comes up when no client has sent anything for so long while a
-program runs that was under way with a client; it goes only when the program is over, so that a client that comes back
-moves nothing. Needs nothing but LinuxCNC's own Python.
+Bytes pass unchanged, with one exception: ``set enable`` of a second client is refused while the first is connected and
+not silent; linuxcncrsh would let the second take over. ``hold`` rises when a program that ran with a client still runs
+and no client has sent anything for the timeout. It falls only when the program is over: a client that reconnects moves
+nothing. The component needs only LinuxCNC's own Python.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ LONGEST = 4096
 
 @dataclass
 class HalWatchdog:
-    """Whether motion is to be held."""
+    """The watchdog behind ``hold``."""
 
     silent_s: float
-    heard_s: float = float("-inf")
+    client_s: float = float("-inf")
     armed: bool = False
     hold: bool = False
 
     def look(self, now_s: float, idle: bool) -> bool:
-        """``hold``, from now on."""
-        alive = now_s - self.heard_s < self.silent_s
+        """Return ``hold`` from now on."""
+        alive = now_s - self.client_s < self.silent_s
         if idle:
             self.armed = self.hold = False
         elif not alive and self.armed:
@@ -49,7 +49,7 @@ class HalWatchdog:
 
 
 class Gate:
-    """Passes bytes between clients and linuxcncrsh, but for a second client's wish to give orders."""
+    """Pass bytes between clients and linuxcncrsh, without a second client's request for control."""
 
     def __init__(self, listen: tuple[str, int], to: tuple[str, int], watchdog: HalWatchdog) -> None:
         self.watchdog = watchdog
@@ -58,14 +58,14 @@ class Gate:
         self._listener = socket.create_server(listen)
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._clients: dict[socket.socket, bytes] = {}
-        """With what came of a request whose line has not ended."""
+        """Start of a request whose line has not ended, by client."""
         self._writer: socket.socket | None = None
-        """The client that may give orders."""
+        """The client that may send commands."""
         self._wrote_s = float("-inf")
         self.port = int(self._listener.getsockname()[1])
 
     def turn(self, within_s: float) -> None:
-        """Serve what is there, waiting for so long at most."""
+        """Serve pending connections, waiting for at most this time."""
         for key, _ in self._selector.select(within_s):
             source = key.fileobj
             if source is self._listener:
@@ -74,7 +74,7 @@ class Gate:
                 self._pass(source, key.data)
 
     def close(self) -> None:
-        """Hang up on all."""
+        """Close all connections."""
         for key in list(self._selector.get_map().values()):
             if isinstance(key.fileobj, socket.socket):
                 key.fileobj.close()
@@ -98,7 +98,7 @@ class Gate:
         try:
             data = source.recv(1 << 16)
             if data and source in self._clients:
-                self.watchdog.heard_s = time.monotonic()
+                self.watchdog.client_s = time.monotonic()
                 self._from_client(source, sink, data)
             else:
                 self._writer = None if sink is self._writer and REFUSED in data else self._writer
@@ -114,7 +114,7 @@ class Gate:
                 end.close()
 
     def _from_client(self, client: socket.socket, server: socket.socket, data: bytes) -> None:
-        """Whole lines go on; those by which a second client would take control are answered here."""
+        """Pass whole lines on; answer those by which a second client would take control."""
         lines, rest = (self._clients[client] + data).splitlines(keepends=True), b""
         if not lines[-1].endswith((b"\n", b"\r")) and len(lines[-1]) < LONGEST:
             rest = lines.pop()
@@ -139,14 +139,14 @@ class Gate:
 
 
 def address(text: str) -> tuple[str, int]:
-    """``host:port``."""
+    """Parse ``host:port``."""
     host, _, port = text.rpartition(":")
     return host, int(port)
 
 
 def main(listen: str, to: str, silent_s: str) -> None:
-    """As a HAL component, until LinuxCNC ends it."""
-    hal: Any = importlib.import_module("hal")  # comes with LinuxCNC
+    """Run as a HAL component until LinuxCNC ends it."""
+    hal: Any = importlib.import_module("hal")  # LinuxCNC supplies it
     component = hal.component("polishd-gate")
     component.newpin("idle", hal.HAL_BIT, hal.HAL_IN)
     component.newpin("hold", hal.HAL_BIT, hal.HAL_OUT)

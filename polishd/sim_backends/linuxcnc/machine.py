@@ -1,6 +1,7 @@
 """The configuration of a headless LinuxCNC: XYZ and a rotary A and C on five joints without motors.
 
-A and C turn the tool about its tip, joints being axes; or they are a tilting rotary table, whose joints LinuxCNC finds.
+A and C turn the tool about its tip, with joints equal to axes; or they are a tilting rotary table, whose joints
+LinuxCNC computes.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from polishd.config.simulator import SimRobotSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.linuxcnc.pendant import COUNT
 
-# What the sampler tells of the motion, as the plant wants it. Pure of I/O; wall times are handed in.
+# The sampler's data of the motion, in the form of the plant. Pure of I/O; the caller passes wall times.
 
 LINE, RUNS, PAUSED, HELD = range(5, 9)
 COLUMNS = 9
 SAMPLE_S = 0.005
-"""Between two samples, on LinuxCNC's clock: it makes up for what it was late."""
+"""Time between two samples on LinuxCNC's clock, which catches up after a delay."""
 STILL_SAMPLES = 4
-"""So many alike are a rest; with no program under way, a standstill."""
+"""This many equal samples are a rest; without a program under way, a standstill."""
 MARK = b"(MSG,polishd "
 
 
 @dataclass(frozen=True, slots=True)
 class LinuxCncProgram:
-    """A program file, without the lines that polishd's driver put between."""
+    """A program file without the lines that polishd's driver inserts."""
 
     sha256: str
     blocks: int
@@ -40,29 +41,29 @@ class LinuxCncProgram:
 
     @classmethod
     def read(cls, path: Path) -> LinuxCncProgram:
-        """Take the file apart."""
+        """Parse the file."""
         lines = path.read_bytes().removesuffix(b"\n").split(b"\n")
         own = [line for line in lines if not line.startswith(MARK)]
         inserted = tuple(at for at, line in enumerate(lines) if line.startswith(MARK))
         return cls(hashlib.sha256(b"\n".join(own)).hexdigest(), len(own), inserted)
 
     def block_at(self, line: int) -> int:
-        """0-based block of a 1-based line; -1 for none."""
+        """Return the 0-based block of a 1-based line; -1 for none."""
         return line - 1 - bisect_left(self.inserted, line - 1) if line > 0 else -1
 
 
 @dataclass(slots=True)
 class Sampled:
-    """Samples in, rows for the plant out (``bus.ROW``)."""
+    """Turn samples into rows for the plant (``bus.ROW``)."""
 
     pose: tuple[float, ...]
     wall_s: float
-    """When the last samples came."""
+    """Time of the last samples."""
     program: LinuxCncProgram | None = None
     moving: bool = False
     running: bool = False
     seq: int = -1
-    """Block of the last motion; LinuxCNC tells none for a dwell, whose time is booked with the move before it."""
+    """Block of the last motion. LinuxCNC reports none for a dwell; its time is booked with the move before it."""
     _still: int = STILL_SAMPLES
     _rest: bytes = b""
     rows: list[list[float]] = field(default_factory=list)
@@ -71,13 +72,13 @@ class Sampled:
 
     @property
     def rests(self) -> bool:
-        """It stands while its program runs: a dwell."""
+        """At standstill while its program runs: a dwell."""
         return self.running and self._still >= STILL_SAMPLES
 
     def feed(self, data: bytes, now_s: float) -> None:
-        """Samples that came now; they are spread over the time since the last ones.
+        """Take new samples; they are spread over the time since the last ones.
 
-        What the part is polished for is LinuxCNC's own time: on a busy machine samples come late, then many at once.
+        The part is polished on LinuxCNC's own time: on a busy machine samples come late, then many at once.
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
         samples = [s for s in (line.split() for line in lines) if len(s) == COLUMNS]
@@ -88,7 +89,7 @@ class Sampled:
             self.wall_s = now_s
 
     def take_rows(self) -> FloatArray:
-        """(n, 9) since the last call."""
+        """Return (n, 9) since the last call."""
         rows, self.rows = self.rows, []
         return np.array(rows).reshape(-1, 9)
 
@@ -111,12 +112,12 @@ class Sampled:
 
 
 MOUNT = Path("/mnt")
-"""Where the process sees its folder."""
+"""Path of its folder, as the process sees it."""
 PROGRAMS = "nc"
 PENDANT = "pendant"
 MOTION = "motion"
 SHELL_PORT = 5007
-"""linuxcncrsh's own; the gate in front of it has the robot's."""
+"""Port of linuxcncrsh; the gate in front of it has the robot's port."""
 AXES = "XYZAC"
 KINEMATICS = {"tool": "trivkins coordinates=XYZAC", "table": "xyzac-trt-kins"}
 TURN_MM_S = 100.0
@@ -215,15 +216,15 @@ loadusr stdbuf -oL halsampler {mount}/{motion}
 
 @dataclass(frozen=True, slots=True)
 class LinuxCncConfig:
-    """What is to be configured."""
+    """The values to be configured."""
 
     robot: SimRobotSection
     pose: tuple[float, ...]
-    """X Y Z (mm) A C (deg): where it stands when it is switched on."""
+    """X Y Z (mm) A C (deg) at power-up."""
     accel_mm_s2: float
 
     def write(self, folder: Path) -> None:
-        """All files, into an empty folder."""
+        """Write all files into an empty folder."""
         (folder / PROGRAMS).mkdir(parents=True, exist_ok=True)
         (folder / "machine.ini").write_text(self.ini())
         (folder / "machine.hal").write_text(self.hal())
@@ -232,7 +233,7 @@ class LinuxCncConfig:
             shutil.copy(Path(__file__).with_name(component), folder)
 
     def ini(self) -> str:
-        """``machine.ini``."""
+        """Return ``machine.ini``."""
         robot = self.robot
         top = max(robot.max_feed_mm_s, robot.rapid_mm_s)
         head = _INI.format(
@@ -269,10 +270,10 @@ class LinuxCncConfig:
         return (low, high) if self.robot.rotary_axes_carry == "tool" else (-high, -low)
 
     def hal(self) -> str:
-        """``machine.hal``: motors that are where they are told, a sampler that tells where, the gate.
+        """Return ``machine.hal``: motors that follow commands exactly, a sampler of the position, the gate.
 
-        It samples one servo cycle of five, within the thread that moves: after a standstill of a busy machine a thread
-        of its own would make up for it by itself, and tell one place many times.
+        It samples one servo cycle of five within the thread that moves: after a delay, a separate thread would catch
+        up and report one position many times.
         """
         joints = "\n".join(
             f"net motor{joint} joint.{joint}.motor-pos-cmd => joint.{joint}.motor-pos-fb\n"
@@ -293,7 +294,7 @@ class LinuxCncConfig:
 
 
 def joints_of(turns: str, pose: Sequence[float]) -> Pose:
-    """Joints (X Y Z mm, A C deg) for a pose: the tool's tip on the part, and A and C as of a head that turns it."""
+    """Return joints (X Y Z mm, A C deg) for a pose: tip on the part, and A and C as of a head that turns the tool."""
     if turns == "tool":
         return tuple(pose)
     x, y, z, a, c = pose
@@ -301,7 +302,7 @@ def joints_of(turns: str, pose: Sequence[float]) -> Pose:
 
 
 def pose_of(turns: str, joints: Sequence[float]) -> Pose:
-    """And back."""
+    """Return the pose of joints."""
     if turns == "tool":
         return tuple(joints)
     x, y, z, a, c = joints
@@ -309,7 +310,7 @@ def pose_of(turns: str, joints: Sequence[float]) -> Pose:
 
 
 def _turn(point: Vector, about: int, degrees: float) -> Vector:
-    """Turned about that axis, counter-clockwise."""
+    """Turn about that axis, counterclockwise."""
     one, other = (about + 1) % 3, (about + 2) % 3
     cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     found = list(point)

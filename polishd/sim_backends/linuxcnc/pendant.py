@@ -1,11 +1,11 @@
-"""A HAL component that stands for the operator's pendant: the feed override wheel, and an interlock that inhibits feed.
+"""A HAL component for the operator's pendant: the feed override wheel, and an interlock that inhibits feed.
 
     loadusr -Wn polishd-pendant /usr/bin/python3 pendant.py /mnt/pendant
     net override polishd-pendant.counts => halui.feed-override.counts
     net inhibit  polishd-pendant.inhibit => motion.feed-inhibit
 
 It reads both from a file with two whole numbers: hundredths of a percent, and 1 where feed is inhibited. LinuxCNC
-reports its program as running under either of them. Needs nothing but LinuxCNC's own Python.
+reports its program as running under either of them. The component needs only LinuxCNC's own Python.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ LOOK_S = 0.005
 FULL = 10000
 """100 %, in counts of the wheel."""
 COUNT = 1e-4
-"""What one count of the wheel is of the programmed feed."""
+"""Fraction of the programmed feed in one count of the wheel."""
 
 
 def write(path: Path, fraction: float, *, inhibit: bool) -> None:
-    """Turn the wheel to that fraction, and set the interlock or take it back."""
+    """Turn the wheel to that fraction, and set or clear the interlock."""
     beside = path.with_suffix(".new")
     beside.write_text(f"{round(fraction * FULL)} {int(inhibit)}\n")
     beside.replace(path)
 
 
 def read(path: Path) -> tuple[int, bool]:
-    """Counts of the wheel, and whether feed is inhibited."""
+    """Return the counts of the wheel, and True where feed is inhibited."""
     counts, inhibit = path.read_text().split()
     return int(counts), inhibit != "0"
 
 
 def main(file: str) -> None:
-    """As a HAL component, until LinuxCNC ends it."""
-    hal: Any = importlib.import_module("hal")  # comes with LinuxCNC
+    """Run as a HAL component until LinuxCNC ends it."""
+    hal: Any = importlib.import_module("hal")  # LinuxCNC supplies it
     component = hal.component("polishd-pendant")
     component.newpin("counts", hal.HAL_S32, hal.HAL_OUT)
     component.newpin("inhibit", hal.HAL_BIT, hal.HAL_OUT)

@@ -1,4 +1,4 @@
-"""What the machine does that its controller does not assume: drawn once from the seed, apart from all other draws."""
+"""True machine effects that the controller's model omits: drawn once from the seed, independent of all other draws."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class PlantEffects:
     """One draw. The default does nothing, to the last bit."""
 
     linear: float = 0.0
-    """Change of the rate from the centre to the rim along ``field_deg``, relative."""
+    """Change of the rate from the center to the rim along ``field_deg``, relative."""
     square: float = 0.0
-    """Change from the centre to the rim, the same all round, relative."""
+    """Change from the center to the rim, the same all round, relative."""
     field_deg: float = 0.0
     rim_mm: float = 1.0
     halvings_per_s: float = 0.0
@@ -45,7 +45,7 @@ class PlantEffects:
     """Of the tool's frame (across the lean, along it) or, with ``spot_on_part``, of the part's x and y."""
     spot_on_part: bool = False
     seat_mm: tuple[float, float] = (0.0, 0.0)
-    """The part's centre from where it should lie, in its x and y."""
+    """Offset of the part's center from its nominal position, in its x and y."""
     compliance: float = 1.0
     eq_44: float = 1.0
     friction: float = 0.0
@@ -57,7 +57,7 @@ class PlantEffects:
     """Of the spot about the normal, counterclockwise."""
     skew: float = 0.0
     bonnet: float = 1.0
-    """Its modulus, over what it should be."""
+    """Factor of its modulus."""
     robot: Waves = field(default_factory=Waves)
     """Tip off, mm, of the part's x and y."""
     lean: Waves = field(default_factory=Waves)
@@ -69,7 +69,7 @@ class PlantEffects:
     guide_friction_n: float = 0.0
 
     def rate(self, place_mm: FloatArray, contact_s: FloatArray) -> FloatArray:
-        """(n,) factor of the removal at places (n, >= 2) after so long (n,) in contact."""
+        """(n,) factor of the removal at points (n, >= 2) after so long (n,) in contact."""
         x, y = ((place_mm[:, k] - self.seat_mm[k]) / self.rim_mm for k in (0, 1))
         angle = math.radians(self.field_deg)
         field = 1.0 + self.linear * (math.cos(angle) * x + math.sin(angle) * y) + self.square * (x**2 + y**2)
@@ -86,7 +86,7 @@ class PlantEffects:
 
 
 def draw(config: SimConfig, seed: int) -> PlantEffects:
-    """The same seed gives the same machine; one effect's range does not change what another draws."""
+    """Draw the effects. The same seed gives the same machine; the range of one effect does not change another draw."""
     ranges: Effects = config.effects
     rng = stream(seed, "effects")
     angles, shares = rng.uniform(0.0, math.tau, 3), rng.uniform(-1.0, 1.0, 3)
@@ -125,7 +125,7 @@ def draw(config: SimConfig, seed: int) -> PlantEffects:
 
 
 def _waves(rng: np.random.Generator, shortest_mm: float) -> Waves:
-    """Two directions, and lengths between the shortest and three times that."""
+    """Draw two directions, and lengths between the shortest and three times that."""
     ways, phases = rng.standard_normal((2, 3)), rng.uniform(0.0, math.tau, 2)
     ways /= np.linalg.norm(ways, axis=1)[:, None] * shortest_mm * 3.0 ** rng.uniform(0.0, 1.0, 2)[:, None]
     first, second = (math.tau * ways).tolist()

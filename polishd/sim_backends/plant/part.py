@@ -20,7 +20,7 @@ MIDDLE_SHARE = 0.15
 """RMS of the middle periods relative to the figure."""
 BUMP_SIGMA_MM = 4.5
 BEYOND_MM = 2.0
-"""So far beyond straight sides the map goes on: a side that the map ends with is not seen as the part's."""
+"""The map continues this far beyond straight sides: an edge of the map is not taken for an edge of the part."""
 
 
 @dataclass(slots=True)
@@ -38,16 +38,16 @@ class TruePart:
     start_nm: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        """Keep the start."""
+        """Keep the initial surface."""
         self.start_nm = self.height_nm.copy()
 
     def map_nm(self) -> FloatArray:
-        """What a perfect instrument would show."""
+        """Return the map of a perfect instrument."""
         frame = self.height_nm[self.pad : -self.pad, self.pad : -self.pad]
         return np.where(self.valid, frame, np.nan)
 
     def write(self, path: Path) -> None:
-        """As an .npz file, replaced whole."""
+        """Save as an .npz file, replaced whole."""
         beside = path.with_name(f".{path.name}")
         with beside.open("wb") as file:
             np.savez(
@@ -62,13 +62,13 @@ class TruePart:
         beside.replace(path)
 
     def stats(self) -> tuple[float, float]:
-        """True RMS and PV in the clear aperture, nm, less its plane: how a part lies is nobody's error."""
+        """True RMS and PV in the clear aperture, nm, without the plane: tilt is no figure error."""
         seen = _seen(self, _level(self, self.height_nm))
         return float(seen.std()), float(np.ptp(seen))
 
 
 def make(config: Plant, seed: int) -> TruePart:
-    """A part with figure and middle-frequency errors, RMS and PV as configured, flush with its ring."""
+    """Draw a part with figure and middle-frequency errors, RMS and PV as configured, flush with its ring."""
     pitch = config.pitch_mm
     beyond = 0.0 if isinstance(config.outline, Circle) else BEYOND_MM
     nx, ny = (2 * math.ceil((half + beyond) / pitch) + 1 for half in config.outline.half_mm)
@@ -83,7 +83,7 @@ def make(config: Plant, seed: int) -> TruePart:
 
 
 def from_map(path: Path, config: Plant) -> TruePart:
-    """A part that starts as a measured map shows it; holes are filled smoothly and stay unseen by the instrument."""
+    """Make a part from a measured map. Holes are filled smoothly and stay holes for the instrument."""
     data = metropro.read(path)
     rows, columns = data.height_nm.shape
     pad = math.ceil(config.ring_mm / data.pitch_mm)
@@ -96,14 +96,14 @@ def from_map(path: Path, config: Plant) -> TruePart:
 
 
 def swelling_nm(part: TruePart, config: SimConfig, since_s: float) -> FloatArray:
-    """(map rows, map columns) by which the part stands higher so long after a pass (simulated clock): it is warm."""
+    """(map rows, map columns) thermal height so long after a pass (simulated clock)."""
     rows, columns = part.valid.shape
     radius = Grid(rows, columns, part.grid.pitch_mm).radius_mm() / config.plant.outline.radius_mm
     return np.asarray(config.hidden_truth.thermal_nm * math.exp(-since_s / config.hidden_truth.thermal_s) * radius**2)
 
 
 def fill(height_nm: FloatArray) -> FloatArray:
-    """Replace NaN by weighted means of what is near, from fine scales to coarse ones."""
+    """Replace NaN by weighted means of neighbors, from fine scales to coarse ones."""
     known = np.isfinite(height_nm)
     filled = np.where(known, height_nm, 0.0)
     missing = ~known
@@ -167,17 +167,17 @@ def _rms(part: TruePart, height: FloatArray) -> float:
 
 
 def _level(part: TruePart, height: FloatArray) -> FloatArray:
-    """Remove the plane that the clear aperture sees."""
+    """Remove the plane fitted in the clear aperture."""
     x, y = np.meshgrid(part.grid.x_mm, part.grid.y_mm)
     columns = np.stack([np.ones(part.clear.sum()), _seen(part, x), _seen(part, y)], axis=1)
     c, sx, sy = np.linalg.lstsq(columns, _seen(part, height), rcond=None)[0]
     return np.asarray(height - (c + sx * x + sy * y))
 
 
-# The nominal surface by the plant's own means: heights by iteration, normals and curvature by differences.
+# The nominal surface by the plant's own methods: heights by iteration, normals and curvature by differences.
 
 STEP_MM = 0.1
-"""Between the nine heights that tell slope and curvature."""
+"""Distance between the nine heights that give slope and curvature."""
 MOST_STEPS = 1000
 SETTLED_MM = 1e-13
 _NINE = STEP_MM * np.array([[i, j] for j in (-1, 0, 1) for i in (-1, 0, 1)], dtype=np.float64)
@@ -195,13 +195,13 @@ class Local:
     """(n,) mean of the two principal ones, positive where it is concave."""
 
     def levelled(self, axis: FloatArray) -> FloatArray:
-        """(n, 3) directions of the part's frame as seen where the normal is z: turned with it the short way."""
+        """Turn (n, 3) directions of the part's frame into a frame whose z is the normal, the short way."""
         along = np.einsum("ni,ni->n", axis, self.normal)
         share = (along + axis[:, 2]) / (1.0 + self.normal[:, 2])
         return np.column_stack([axis[:, :2] - share[:, None] * self.normal[:, :2], along])
 
     def raised(self, along: FloatArray) -> FloatArray:
-        """(n, 3) directions of the part's frame from (n, 2) along the surface: what `levelled` makes of them."""
+        """(n, 3) directions of the part's frame from (n, 2) along the surface: the inverse of `levelled`."""
         share = np.einsum("ni,ni->n", along, self.normal[:, :2]) / (1.0 + self.normal[:, 2])
         flat = np.column_stack([along, np.zeros(len(along))])
         return np.asarray(flat - share[:, None] * (self.normal + np.array([0.0, 0.0, 1.0])))
@@ -220,7 +220,7 @@ class Shape:
 
     plant: Plant
     _centre: FloatArray = field(init=False)
-    """(3,) the part's centre in the parent's frame."""
+    """(3,) the part's center in the parent's frame."""
     _axes: FloatArray = field(init=False)
     """(3, 3) the part's axes there, as columns."""
 
@@ -235,13 +235,13 @@ class Shape:
 
     @property
     def flat(self) -> bool:
-        """Whether it is a plane."""
+        """True for a plane."""
         return self.plant.curvature_radius_mm is None and not any(self.plant.even)
 
     def under(self, place: FloatArray) -> Local:
-        """The surface under points whose x and y are the first two columns of (n, 2 or more), part's frame.
+        """Return the surface under points whose x and y are the first two columns of (n, 2 or more), part's frame.
 
-        Beyond the ring around the part it goes on as at the ring's end.
+        Beyond the ring around the part it continues as at the edge of the ring.
         """
         n = len(place)
         if self.flat:

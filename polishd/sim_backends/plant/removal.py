@@ -1,11 +1,11 @@
-"""The plant's own removal law: Hertz's contact and Preston's equation with what really acts at the moment.
+"""The plant's own removal law: Hertz's contact and Preston's equation with the true values at each moment.
 
-Units: mm, N, MPa, s, rad; removal in nm. What the robot gives way, and how much of that is lost as depth: `giving`.
+Units: mm, N, MPa, s, rad; removal in nm. Deflection of the robot, and the depth lost by it: `giving`.
 
 Speeds are signed: positive turns counterclockwise, seen from above the part. Pressure times sliding speed is the same
-either way, as the feed is far below the spin and left out. A reversed spindle slides the other way, which mirrors a
-spot across the plane of its normal and axis: ``skew``, friction's drag and a measured spot change sides. The viscous
-shift of the pressure (paper eq. 29, 1 um), which changes sides too, is left out here.
+in both directions, as the feed is far below the spin and omitted. A reversed spindle slides the other way, which
+mirrors a spot across the plane of its normal and axis: ``skew``, friction's drag and a measured spot change sides. The
+viscous shift of the pressure (paper eq. 29, 1 um), which changes sides too, is omitted here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 
 CHUNK = 192
-"""Steps worn at once: so many that what Python does between two arrays hardly counts, and few enough for the cache."""
+"""Steps worn at once: enough to hide Python's overhead between two arrays, and few enough for the cache."""
 NODES, WEIGHTS = (0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0], 0.5 * np.polynomial.legendre.leggauss(3)[1])
 """Of lines through a cell: with three a cell is right to 0.4 % of the peak, at its rim."""
 
@@ -34,16 +34,16 @@ def plane_strain_modulus_mpa(tool: ToolProcess) -> float:
 
 
 def contact_radius_mm(tool: ToolProcess, curvature_per_mm: FloatArray) -> FloatArray:
-    """(n,) of the sphere that presses on a flat as the bonnet does on a part so curved, positive where it is concave.
+    """(n,) radius of the sphere that presses on a flat as the bonnet does on a part so curved, positive where concave.
 
-    Where a part curves two ways the mean is taken: its contact is an ellipse, of nearly that area.
+    For two different curvatures the mean is taken: the contact is an ellipse of nearly that area.
     """
     own = 1.0 / tool.tool_radius_mm
     return np.asarray(1.0 / (own - np.minimum(curvature_per_mm, CLOSEST * own)))
 
 
 def hertz_depth_mm(tool: ToolProcess, force_n: FloatArray, radius_mm: FloatArray | None = None) -> FloatArray:
-    """Indentation of the bonnet under a force, (n,); ``radius_mm`` (n,) of the contact, left out: on a flat."""
+    """Indentation of the bonnet under a force, (n,); ``radius_mm`` (n,) of the contact; omitted: on a flat."""
     radius = tool.tool_radius_mm if radius_mm is None else radius_mm
     stiff = 4.0 / 3.0 * plane_strain_modulus_mpa(tool) * np.sqrt(radius)
     return np.asarray((np.maximum(force_n, 0.0) / stiff) ** (2.0 / 3.0))
@@ -56,7 +56,7 @@ def worn_depth_mm(
     compliance: FloatArray,
     radius_mm: FloatArray | None = None,
 ) -> FloatArray:
-    """Depth that is left when the robot has given way: gamma d, gamma = 1 - c F / (d cos(dip)), (n,); 0 at worst.
+    """Depth that is left after the robot's deflection: gamma d, gamma = 1 - c F / (d cos(dip)), (n,); 0 at worst.
 
     ``axis`` (n, 3) in a frame whose z is the surface normal.
     """
@@ -82,10 +82,10 @@ def wear(
 ) -> None:
     """Take material off ``surface_nm`` in place: n contacts at ``centre_mm`` (n, 2) for ``seconds`` (n,) each.
 
-    ``seconds`` carries the rate factor too. ``rpm`` is signed. ``radius_mm`` (n,) is that of the contact, and
-    ``stretch`` (n, 2, 2) turns offsets in x and y into those along the surface, where ``axis`` is seen from; left out:
-    as on a flat. ``skew`` is by how much more is removed at the rim that the bonnet slides towards, relative. Cell
-    averages, by three lines through each cell.
+    ``seconds`` contains the rate factor too. ``rpm`` is signed. ``radius_mm`` (n,) is that of the contact, and
+    ``stretch`` (n, 2, 2) turns offsets in x and y into those along the surface, the frame of ``axis``; omitted: as on a
+    flat. ``skew`` is the relative excess of removal at the rim towards which the bonnet slides. Cell averages, by three
+    lines through each cell.
     """
     n = len(centre_mm)
     radius = np.full(n, tool.tool_radius_mm) if radius_mm is None else radius_mm
@@ -150,10 +150,10 @@ def _wear_chunk(
 
 @dataclass(frozen=True, slots=True)
 class _Ellipse:
-    """n contacts as seen along the part's z; each (n, 1), or (n, 1, 1) where lines cross it."""
+    """n contacts seen along the part's z; each (n, 1), or (n, 1, 1) where lines cross it."""
 
     peak_mpa: FloatArray
-    """Half of the pressure in its middle."""
+    """Half of the pressure at its center."""
     stretch: tuple[FloatArray, ...]
     """(ux, uy, vx, vy): along the surface is ``(ux x + uy y, vx x + vy y)``."""
     across: FloatArray
@@ -177,11 +177,11 @@ class _Ellipse:
 def _rate(
     x: FloatArray, y: FloatArray, ellipse: _Ellipse, *, axis: FloatArray, down_mm: FloatArray, skewed: FloatArray
 ) -> FloatArray:
-    """Pressure times sliding speed for an angular speed of 1 between neighbours of x, MPa mm^2, (n, lines, x - 1).
+    """Pressure times sliding speed for an angular speed of 1 between neighbors of x, MPa mm^2, (n, lines, x - 1).
 
-    ``x`` (n, x) and ``y`` (n, lines) are offsets from the contact, ``down_mm`` (n,) the height of its middle over the
-    bonnet's own, ``skewed`` (n, 2) how the rate grows along them. The pressure is integrated exactly along each line;
-    the speed is that where the pressure's centre is. Nearly all of a pass's time goes here: few passes over its arrays.
+    ``x`` (n, x) and ``y`` (n, lines) are offsets from the contact, ``down_mm`` (n,) the height of its center over the
+    bonnet's own, ``skewed`` (n, 2) the growth of the rate along them. The pressure is integrated exactly along each
+    line; the speed is taken at the center of pressure. A pass spends nearly all its time here, in few array operations.
     """
     line = y[:, :, None]
     chord = np.maximum(1.0 - (line / ellipse.top_mm[:, :, None]) ** 2, 1e-12)
@@ -217,37 +217,37 @@ def _rate(
 
 
 def sliding(axis: FloatArray, speed: FloatArray) -> FloatArray:
-    """(n, 2) unit directions in which the bonnet slides in the middle of its contact; 0 where its axis is the normal.
+    """(n, 2) unit directions in which the bonnet slides at the center of its contact; 0 where its axis is the normal.
 
-    ``axis`` (n, 3) where the normal is z. Of ``speed`` (n,) the sign counts: positive turns counterclockwise, seen from
-    above.
+    ``axis`` (n, 3) where the normal is z. Only the sign of ``speed`` (n,) matters: positive turns counterclockwise,
+    seen from above.
     """
     lean = np.hypot(axis[:, 0], axis[:, 1])[:, None]
     way = np.sign(speed)[:, None] * np.column_stack([-axis[:, 1], axis[:, 0]])
     return np.asarray(np.divide(way, lean, out=np.zeros((len(axis), 2)), where=lean > 0.0))
 
 
-# A spot that was measured, as the plant removes with it: turned with the spindle, scaled as Hertz's contact is.
+# A measured spot, as the plant removes with it: turned with the spindle, scaled as Hertz's contact is.
 
 TOGETHER_MM = 0.1
-"""Contacts nearer to each other than that are one: a map shows no less."""
+"""Contacts nearer to each other than this are one: a map resolves no less."""
 FINE_MM = 1.0 / 6.0
-"""Between the points of which a cell's mean is made, at most; two of them at least along each of its sides."""
+"""Largest distance between the points of a cell's mean; at least two of them along each of its sides."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredStamp:
-    """The TIF, and the contact at which it was measured: that of ``tool`` with its force, speed and dip."""
+    """The TIF, and the contact in which it was measured: that of ``tool`` with its force, speed and dip."""
 
     tif: MeasuredTif
     tool: ToolProcess
     _half_mm: float = field(init=False)
-    """From its centre to its farthest corner."""
+    """From its center to its farthest corner."""
     _depth_mm: float = field(init=False)
-    """Of the contact there."""
+    """Contact of that measurement."""
 
     def __post_init__(self) -> None:
-        """How large, and how deep."""
+        """Size and depth."""
         half = math.hypot(*self.tif.rate_nm_s.shape) * self.tif.pitch_mm / 2.0
         dip = 1.0 if self.tool.normal_force == "axial" else math.cos(math.radians(self.tool.dip_deg))
         rigid = hertz_depth_mm(self.tool, np.array([self.tool.force_n / dip]))
@@ -302,7 +302,7 @@ class MeasuredStamp:
                 )
 
     def _rate(self, offset_mm: FloatArray, axis: FloatArray) -> FloatArray:
-        """nm/s at offsets (2, ny, nx) along the surface, for the spindle that leans as ``axis`` (3,) says."""
+        """nm/s at offsets (2, ny, nx) along the surface, for a spindle with that ``axis`` (3,)."""
         turn = math.atan2(axis[1], axis[0]) - math.radians(self.tif.azimuth_deg) if self.tif.rotates else 0.0
         x = math.cos(turn) * offset_mm[0] + math.sin(turn) * offset_mm[1]
         y = math.cos(turn) * offset_mm[1] - math.sin(turn) * offset_mm[0]
@@ -312,7 +312,7 @@ class MeasuredStamp:
 
 
 def _mirrored(offset_mm: FloatArray, axis: FloatArray) -> FloatArray:
-    """Offsets (2, ny, nx) mirrored across where an axis (3,) leans; as they are where it does not."""
+    """Mirror offsets (2, ny, nx) across the lean of an axis (3,); unchanged for an axis without lean."""
     lean = math.hypot(axis[0], axis[1])
     if lean == 0.0:
         return offset_mm
@@ -321,9 +321,9 @@ def _mirrored(offset_mm: FloatArray, axis: FloatArray) -> FloatArray:
 
 
 def _together(centre_mm: FloatArray, turns: FloatArray) -> tuple[np.ndarray, FloatArray]:
-    """Where each group of contacts begins that follow one another within `TOGETHER_MM`, and the weight of each (n,).
+    """Start of each group of successive contacts within `TOGETHER_MM`, and the weight of each contact (n,).
 
-    All of a group turn the same way.
+    All contacts of a group turn the same way.
     """
     apart = np.hypot(*np.diff(centre_mm, axis=0).T) + TOGETHER_MM * (np.diff(np.sign(turns)) != 0.0)
     way = np.concatenate([[0.0], np.cumsum(apart)])

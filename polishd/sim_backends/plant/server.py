@@ -1,4 +1,4 @@
-"""The plant's process: listens to the devices, wears the part up to the time that all vouch for, keeps the witness."""
+"""The process of the plant: takes the devices' reports, wears the part up to the vouched time, keeps the event log."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from polishd.sim_backends.plant import effects
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.world import Timeline, World
 
-# ``sim.log``: one JSON line for each thing that happened, in the order in which it happened.
+# ``sim.log``: one JSON line for each event, in the order of time.
 
 KEPT = 4000
 
 
 @dataclass(slots=True)
 class SimEventLog:
-    """Holds events back until every device has vouched for their time, then writes them in order."""
+    """Hold events back until every device has vouched for their time, then write them in order."""
 
     path: Path
     _heap: list[tuple[float, int, dict[str, Any]]] = field(default_factory=list)
@@ -42,18 +42,18 @@ class SimEventLog:
     _process: list[float] = field(default_factory=list)
 
     def add(self, device: str, name: str, at_s: float, **data: Any) -> None:
-        """Something happened at that time (time.monotonic)."""
+        """Add an event at that time (time.monotonic)."""
         heapq.heappush(self._heap, (at_s, next(self._number), {"device": device, "event": name, **data}))
 
     def clock(self, wall_s: float, process_s: float) -> None:
-        """How the two clocks stand together."""
+        """Record the relation of the two clocks."""
         self._wall.append(wall_s)
         self._process.append(process_s)
         if len(self._wall) > 2 * KEPT:
             del self._wall[:KEPT], self._process[:KEPT]
 
     def write(self, until_s: float) -> None:
-        """Append all that happened up to then."""
+        """Write all events up to then."""
         lines = []
         while self._heap and self._heap[0][0] <= until_s:
             at_s, _, event = heapq.heappop(self._heap)
@@ -73,7 +73,7 @@ EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
 
 @dataclass(slots=True)
 class PlantServer:
-    """The plant among its devices."""
+    """The plant and its devices."""
 
     start: Start
     world: World
@@ -83,21 +83,21 @@ class PlantServer:
     moving: bool = False
     extended: bool = False
     safe_s: float = 0.0
-    """When the robot or the actuator last started or came to rest."""
+    """Last start or stop of the robot or the actuator."""
     asked_s: float | None = None
-    """When a measurement was asked for that is not served yet."""
+    """Time of a measurement request that is not served yet."""
     seat: str = ""
     """The part on it; empty where there is none."""
     others: dict[str, parts.TruePart] = field(default_factory=dict)
-    """Parts that were on it before, as they left it."""
+    """Earlier parts, as they left the plant."""
     write_s: float = math.inf
-    """The account is written once everything before that time is integrated."""
+    """The account is written once all time before that is integrated."""
     _touch_um: float | None = None
     _acting_n: float = 0.0
     _summary: tuple[float, int] = (0.0, -1)
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One device, from hello to its end."""
+        """Serve one device, from hello to its end."""
         hello = await runtime.read_frame(reader)
         if not isinstance(hello, dict) or "hello" not in hello:
             writer.close()
@@ -112,21 +112,21 @@ class PlantServer:
         writer.close()
 
     async def tick(self) -> None:
-        """Integrate for ever."""
+        """Integrate until cancelled."""
         while True:
             await asyncio.sleep(TICK_S)
             self.advance()
 
     def advance(self) -> None:
-        """Integrate up to the horizon; serve what waits for it."""
+        """Integrate up to the horizon; serve all that waits for it."""
         now = time.monotonic()
         if "robot" not in self.writers:
             self.world.stand_until(now)
         horizon = min(now, self.robot_mark, self.world.force.mark_s, self.world.rpm.mark_s)
         for wall, process in self.world.integrate(horizon):
             self.witness.clock(wall, process)
-        self._tell_touch()
-        self._tell_force()
+        self._send_touch()
+        self._send_force()
         self._measure(horizon)
         if horizon >= self.write_s:
             self.write_s = math.inf
@@ -134,12 +134,12 @@ class PlantServer:
         self.witness.write(horizon)
 
     def mark_way_out(self) -> None:
-        """Somebody is about to cause a fault: from now on, what leaving contact costs is booked apart."""
+        """Mark the begin of a fault: from now on a second account books the cost of leaving contact."""
         self.world.mark_way_out(time.monotonic())
         self.witness.add("plant", "way_out_marked", time.monotonic())
 
     def change(self, part: str) -> None:
-        """The loader has put that part on the seat, or with an empty name has taken it off."""
+        """Take the loader's report: it loaded that part, or with an empty name unloaded the seat."""
         if self.seat:
             self.others[self.seat] = self.world.part
             self._keep(self.seat)
@@ -152,13 +152,13 @@ class PlantServer:
             self.writers["interferometer"].write(runtime.pack_json({"part": part}))
 
     def again(self) -> None:
-        """Read SIM.toml again: truth and tool may be others from now on, and parts that come have another surface."""
+        """Read SIM.toml again: truth and tool may change, and later parts have another surface."""
         self.start = self.start.again()
         self.world.mount(self.start.config)
         self.witness.add("plant", "button", time.monotonic(), signal=signal.SIGHUP.name)
 
     def finish(self) -> None:
-        """The end: everything is written down."""
+        """Write all results at the end."""
         for timeline in (self.world.force, self.world.rpm):
             timeline.mark_s = math.inf
         self.world.integrate(math.inf)
@@ -206,7 +206,7 @@ class PlantServer:
             self.world.stand_until(self.robot_mark, message["pose"])
         elif "samples" in message:
             self._timeline(device).push(message["samples"], float(message["mark"]))
-            self._tell_force()
+            self._send_force()
 
     def _note(self, device: str, name: str, at_s: float, data: runtime.Message) -> None:
         if device == "robot" and name in MOVING:
@@ -226,21 +226,21 @@ class PlantServer:
             self.write_s = at_s
 
     def _summarise(self, rows: FloatArray) -> None:
-        """Block starts, about once a second."""
+        """Report block starts, about once a second."""
         seq, wall = int(rows[-1, 0]), float(rows[-1, 2])
         since, last = self._summary
         if seq < last or wall - since > SUMMARY_S:
             self._summary = (wall, seq)
             self.witness.add("robot", "blocks", wall, at_seq=seq)
 
-    def _tell_touch(self) -> None:
+    def _send_touch(self) -> None:
         touch_um = self.world.touch_um
         if touch_um != self._touch_um and "actuator" in self.writers:
             self._touch_um = touch_um
             self.writers["actuator"].write(runtime.pack_json({"touch_um": touch_um}))
 
-    def _tell_force(self) -> None:
-        """What truly acts between tool and part, to those that feel it, or whose faults begin by it."""
+    def _send_force(self) -> None:
+        """Send the true contact between tool and part to the devices that feel it, or whose faults begin by it."""
         acting_n = self.world.acting_n
         if acting_n != self._acting_n:
             self._acting_n = acting_n
@@ -262,7 +262,7 @@ class PlantServer:
             self.writers["interferometer"].write(runtime.pack_rows(seen))
 
     def _keep(self, name: str) -> None:
-        """A part's truth stays for others to see once it is taken off."""
+        """Save the truth of a part that is unloaded."""
         folder = self.start.state / "parts"
         folder.mkdir(exist_ok=True)
         self.world.part.write(folder / f"{quote(name, safe='')}.npz")
@@ -272,7 +272,7 @@ class PlantServer:
 
 
 def build(start: Start) -> PlantServer:
-    """Draw the truth, make the part, leave a note of both in the state folder."""
+    """Draw the truth, make the part, save both in the state folder."""
     config = start.config
     hidden = hidden_truth.draw(config.hidden_truth, start.seed, config.robot_model())
     part = parts.from_map(start.surface, config.plant) if start.surface else parts.make(config.plant, start.seed)
@@ -284,13 +284,13 @@ def build(start: Start) -> PlantServer:
     rms, pv = part.stats()
     witness = SimEventLog(log)
     witness.add("plant", "boot", time.monotonic(), seed=start.seed, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
-    told = {**asdict(hidden), "effects": asdict(drawn)}
-    replace_file(start.state / "truth.json", json.dumps(told, indent=1, default=np.ndarray.tolist).encode())
+    truth = {**asdict(hidden), "effects": asdict(drawn)}
+    replace_file(start.state / "truth.json", json.dumps(truth, indent=1, default=np.ndarray.tolist).encode())
     return PlantServer(start, world, witness, seat=config.plant.part_id)
 
 
 async def main(start: Start) -> None:
-    """The plant's process."""
+    """Run the process of the plant."""
     server = build(start)
     path = start.state / runtime.SOCKET
     path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The tool on the part: where it touches, how deep, and what it takes off."""
+"""The tool on the part: contact position, depth and removal."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from polishd.sim_backends.plant.removal import (
     worn_depth_mm,
 )
 
-# How far the robot gives way under the tool: its own mechanics, or a table of what was measured.
+# Deflection of the robot under the tool: its own mechanics, or a table of measured values.
 
 THIN_MM = 1.0
-"""A table that is not thicker than this one way has no extent there."""
+"""A table that is not thicker than this in one direction has no extent there."""
 
 
 @dataclass(frozen=True, slots=True)
 class TipDeflection:
-    """By how much the tip gives way at n places, mm/N; 0 where the robot cannot be."""
+    """Deflection of the tip at n points, mm/N; 0 out of reach."""
 
     along: FloatArray
     """(n,) equivalent, along the normal."""
     matrix: FloatArray
-    """(n, 3, 3) base frame; 0 where only the other was measured."""
+    """(n, 3, 3) base frame; 0 where only the other value was measured."""
 
 
 Giving = Callable[[FloatArray, FloatArray, FloatArray], TipDeflection]
@@ -46,7 +46,7 @@ Giving = Callable[[FloatArray, FloatArray, FloatArray], TipDeflection]
 
 
 def giving(robot: RobotModel, projection: Projection) -> Giving:
-    """Of that robot. Where a table has nothing it gives as at the nearest place; where a model cannot be: 0."""
+    """Return it for that robot. A table without a value uses the nearest point; a model out of reach gives 0."""
     if isinstance(robot, MeasuredCompliance):
         table = _by_table(robot)
         return lambda tip, _axis, _normal: TipDeflection(table(tip), np.zeros((len(tip), 3, 3)))
@@ -60,10 +60,10 @@ def given_way(
     normal: FloatArray,
     projection: Projection = "linear",
 ) -> TipDeflection:
-    """Of a robot with mechanics; its compliance along the surface normal is the equivalent one of paper eq. 43.
+    """Return it for a robot with mechanics. Along the surface normal it is the equivalent compliance of paper eq. 43.
 
     ``tip_mm``, ``axis`` (n, 3) and ``normal`` (3,) or (n, 3) in the base frame. The eigenvector nearest the tool axis
-    is left out: the voice coil gives way along it; but for ``normal``, what a loading test along the normal measures.
+    is omitted: the voice coil gives way along it. Only ``normal`` includes it, as a loading test along the normal does.
     """
     can, matrix = tip_gives_mm_per_n(robot, tip_mm, axis)
     normal = np.broadcast_to(normal, tip_mm.shape)
@@ -78,7 +78,7 @@ def given_way(
 
 
 def _by_table(table: MeasuredCompliance) -> Callable[[FloatArray], FloatArray]:
-    """Linear between the places, in as many dimensions as they extend; beyond them as the nearest."""
+    """Interpolate linearly between the points, in as many dimensions as they extend; beyond them take the nearest."""
     centre = table.tip_mm.mean(axis=0)
     directions = np.linalg.svd(table.tip_mm - centre, full_matrices=False)[2]
     along = directions[np.ptp((table.tip_mm - centre) @ directions.T, axis=0) > THIN_MM]
@@ -102,7 +102,7 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 @dataclass(frozen=True, slots=True)
 class ContactPoints:
-    """n places at which the tool touches the part, in its frame."""
+    """n points at which the tool touches the part, in its frame."""
 
     place_mm: FloatArray
     """(n, 3) the tool's tip."""
@@ -118,12 +118,12 @@ class Tool:
     process: ToolProcess
     giving: Giving
     stamp: MeasuredStamp | None
-    """What it removes, where that was measured."""
+    """Its measured removal, where there is one."""
     effects: PlantEffects = field(default_factory=PlantEffects)
 
     @classmethod
     def of(cls, config: SimConfig, robot: RobotModel, effects: PlantEffects) -> Tool:
-        """As SIM.toml has it, on the robot as it truly is; ConfigError where its TIF cannot be read."""
+        """Build the tool of SIM.toml on the true robot; ConfigError where its TIF cannot be read."""
         process, tif = config.process.tool(), config.measured_tif()
         stamp = None if tif is None else MeasuredStamp(tif, process)
         inflated = replace(process, tool_modulus_mpa=process.tool_modulus_mpa * effects.bonnet)
@@ -139,7 +139,7 @@ class Tool:
         rpm: FloatArray,
         seconds: FloatArray,
     ) -> None:
-        """Take material off the part, in place; ``seconds`` (n,) carry the rate factor, too; ``rpm`` (n,) is signed."""
+        """Take material off the part, in place; ``seconds`` (n,) contain the rate factor; ``rpm`` (n,) is signed."""
         local, off = touches.local, self.effects
         tips, axes = frames.in_base(touches.place_mm, touches.axis)
         axis = _leaning(local.levelled(touches.axis), off.lean.at(tips))
@@ -167,10 +167,10 @@ class Tool:
     def _dragged_mm(
         self, matrix: FloatArray, at: ContactPoints, frames: Frames, force_n: FloatArray, rpm: FloatArray
     ) -> FloatArray:
-        """(n, 3) by which friction pulls the tip along the surface and off it, where the normal is z.
+        """(n, 3) pull of friction on the tip along the surface and off it, where the normal is z.
 
-        It acts against the way that the bonnet slides, and grows with the normal force. What the normal force itself
-        does to the tip sideways is the same everywhere, and goes away as the tool is set up. ``at.axis`` is levelled.
+        It acts against the sliding direction of the bonnet, and grows with the normal force. The sideways motion by the
+        normal force itself is the same everywhere, and the tool setup removes it. ``at.axis`` is levelled.
         """
         against = at.local.raised(-sliding(at.axis, rpm)) @ frames.to_base.T
         pull_n = self.effects.friction * self.effects.compliance * force_n / np.maximum(at.axis[:, 2], 1e-3)
@@ -203,20 +203,20 @@ def _turn(radians: float) -> FloatArray:
 
 
 def _circling(count: int) -> FloatArray:
-    """(n, 2) places of the unit circle, one after the other all round: of a tip much faster than the path."""
+    """(n, 2) points of the unit circle, evenly all round: of a tip much faster than the path."""
     angle = GOLDEN * np.arange(count)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-# The true force behind the actuator's: a damped coil on a springy contact, with a part that comes and goes.
+# The true force behind the actuator's: a damped coil on a springy contact; the part may go and come back.
 
 TOGETHER_S = 1e-3
-"""Process time between contacts beyond which the tool has lifted and lands anew."""
+"""Process time between contacts beyond which the tool has lifted and lands again."""
 
 
 @dataclass(slots=True)
 class ForceDynamics:
-    """The force between tool and part as it goes on from contact to contact."""
+    """The force between tool and part, continued from contact to contact."""
 
     lag_s: float
     """tau, process time."""
@@ -225,7 +225,7 @@ class ForceDynamics:
     _force_n: float = 0.0
     """Of the contact and of the friction, together."""
     _held_n: float = 0.0
-    """By the friction, positive where it takes from the contact."""
+    """Caused by the friction, positive where it takes from the contact."""
     _gap_mm: float = 0.0
     _middle_s: float = 0.0
     _until_s: float = -math.inf

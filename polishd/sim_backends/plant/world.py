@@ -1,4 +1,4 @@
-"""The plant itself: motion, force and speed come together and wear the part. Pure of I/O."""
+"""The plant: motion, force and speed together wear the part. Pure of I/O."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from polishd.sim_backends.plant.effects import PlantEffects
 from polishd.sim_backends.plant.part import Local, Shape, TruePart
 from polishd.sim_backends.plant.tool import ContactPoints, ForceDynamics, Tool
 
-# The history of a force or a speed, as its device vouches for it.
+# The history of a force or a speed, vouched for by its device.
 
 
 @dataclass(slots=True)
@@ -27,51 +27,51 @@ class Timeline:
     """Piecewise linear in wall time; constant after the last point up to the mark."""
 
     rest: float = 0.0
-    """Value when the device is not there: no power, no force, no speed."""
+    """Value while the device is absent: no power, no force, no speed."""
     times: list[float] = field(default_factory=lambda: [-math.inf])
     values: list[float] = field(default_factory=lambda: [0.0])
     mark_s: float = math.inf
-    """Nothing before it will change any more; infinite while no device is connected."""
+    """Values before it are final; infinite while no device is connected."""
 
     def connect(self, at_s: float) -> None:
-        """A device has powered up; it vouches for nothing yet."""
+        """Take the power-up of a device; it vouches for nothing yet."""
         self.step(at_s, self.rest)
         self.mark_s = at_s
 
     def disconnect(self, at_s: float, *, stays: bool = False) -> None:
-        """The device is gone: the value falls to rest at once, or stays what it was."""
+        """Take the end of a device: the value falls to rest at once, or keeps its last value."""
         self.step(max(at_s, self.times[-1]), self.values[-1] if stays else self.rest)
         self.mark_s = math.inf
 
     def push(self, samples: list[tuple[float, float]], mark_s: float) -> None:
-        """Take points in time order and the new mark. A point before the one known last is moved up to it."""
+        """Take points in time order and the new mark. A point before the last one is moved up to it."""
         for time_s, value in samples:
             self.times.append(max(time_s, self.times[-1]))
             self.values.append(value)
         self.mark_s = mark_s
 
     def at(self, times_s: FloatArray) -> FloatArray:
-        """Values at times before the mark."""
+        """Return values at times before the mark."""
         return np.asarray(np.interp(times_s, self.times[1:] or [0.0], self.values[1:] or [self.rest]))
 
     def forget(self, before_s: float) -> None:
-        """Drop what lies before, but for the last point."""
+        """Drop the points before, except the last."""
         keep = max(int(np.searchsorted(self.times, before_s)) - 2, 0)
         if keep > 100:
             del self.times[1:keep], self.values[1:keep]
 
     def step(self, at_s: float, value: float) -> None:
-        """Another value from then on."""
+        """Set another value from then on."""
         self.times += [at_s, at_s]
         self.values += [self.values[-1], value]
 
 
-# The plant's own account of dwell: the witness that nothing was polished twice.
+# The plant's own account of dwell: it proves that nothing was polished twice.
 
 
 @dataclass(slots=True)
 class ContactExitRecord:
-    """What the part lost from a moment on: the cost of leaving contact, marked by whoever causes it (SIGUSR1)."""
+    """Removal from a moment on: the cost of leaving contact. The cause of the fault marks that moment (SIGUSR1)."""
 
     from_s: float
     """Wall time (monotonic) of the mark."""
@@ -83,7 +83,7 @@ class ContactExitRecord:
     """Wall time of the last contact."""
 
     def report(self) -> dict[str, float]:
-        """Seconds of contact (process time) and the deepest place, in all and at standstill."""
+        """Seconds of contact (process time) and the largest depth, in all and at standstill."""
         seconds = {name: getattr(self, name) for name in ("from_s", "until_s", "contact_s", "standing_s")}
         return {
             **seconds,
@@ -94,10 +94,10 @@ class ContactExitRecord:
 
 @dataclass(slots=True)
 class Pit:
-    """Removal beyond plan from the first wrong moment on: what a fault of motion or force costs the part.
+    """Removal beyond plan from the first wrong moment on: the cost of a fault of motion or force.
 
-    Planned is the set point of the force for as long as the motion planned takes. A tool that stands, or is slow, or
-    presses more, removes more than that; one that is being lifted removes less.
+    Planned is the set point of the force for the duration of the planned motion. A tool that stands, is slow, or
+    presses more removes more; one that is being lifted removes less.
     """
 
     from_s: float
@@ -109,7 +109,7 @@ class Pit:
     """Wall time of the last contact."""
 
     def report(self, part: TruePart) -> dict[str, Any]:
-        """Times, and the worst place in the part's own x and y."""
+        """Times, and the worst point in the part's own x and y."""
         row, column = np.unravel_index(int(self.excess_nm.argmax()), self.excess_nm.shape)
         return {
             **{name: getattr(self, name) for name in ("from_s", "until_s", "contact_s")},
@@ -119,7 +119,7 @@ class Pit:
         }
 
     def _on_part(self, part: TruePart) -> dict[str, float]:
-        """Worst place of the part itself, without the ring on which the tool lands, and what was planned there."""
+        """Worst point of the part itself, without the ring on which the tool lands, and the planned removal there."""
         on_part = np.pad(part.valid, part.pad)
         worst = int(np.where(on_part, self.excess_nm, -np.inf).argmax())
         planned_nm = part.start_nm - part.height_nm - self.excess_nm
@@ -139,7 +139,7 @@ class DwellAccount:
     pit: Pit | None = None
 
     def load(self, sha256: str, blocks: int) -> None:
-        """A program was loaded; one that was loaded before goes on with its old account."""
+        """Take the load of a program; one that was loaded before continues its old account."""
         self.current = sha256
         self.loads[sha256] = self.loads.get(sha256, 0) + 1
         known = self.programs.get(sha256)
@@ -147,7 +147,7 @@ class DwellAccount:
             self.programs[sha256] = np.zeros(blocks)
 
     def dwell(self, program: str, seq: FloatArray, seconds: FloatArray) -> None:
-        """Contact in blocks."""
+        """Book contact in blocks."""
         book = self.programs.get(program)
         if book is not None and len(seq):
             np.add.at(book, seq.astype(np.int64), seconds)
@@ -155,7 +155,7 @@ class DwellAccount:
     def stand(
         self, x_mm: float, y_mm: float, at_s: float, seconds: float, *, force_n: float = 0.0, rpm: float = 0.0
     ) -> None:
-        """Contact at standstill, under that force and at that speed of the spindle."""
+        """Book contact at standstill, under that force and at that speed of the spindle."""
         self.standstill_s += seconds
         last = self.stands[-1] if self.stands else None
         if last and at_s - last["until_s"] < 0.5 and abs(last["x_mm"] - x_mm) + abs(last["y_mm"] - y_mm) < 0.01:
@@ -167,7 +167,7 @@ class DwellAccount:
             self.stands.append({"x_mm": x_mm, "y_mm": y_mm, **times, "most_n": force_n, "most_rpm": rpm})
 
     def write(self, folder: Path, part: TruePart, process_s: float, until_s: float) -> None:
-        """``dwell_account.json`` and ``truth.npz``, each replaced whole; all is in them up to that wall time."""
+        """Write ``dwell_account.json`` and ``truth.npz``, each replaced whole, complete up to that wall time."""
         rms, pv = part.stats()
         books: list[dict[str, Any]] = [
             {"sha256": sha, "blocks": len(book), "loads": self.loads[sha], "contact_s": np.round(book, 7).tolist()}
@@ -190,9 +190,9 @@ class DwellAccount:
 
 
 REACH_MM = 4.5
-"""So far the actuator's stroke lets the bonnet follow the surface."""
+"""Stroke over which the actuator keeps the bonnet on the surface."""
 TOUCH_UM = 5000.0
-"""The actuator's position in which the tool's tip is where the program says."""
+"""Position of the actuator at which the tool's tip is where the program commands it."""
 TOUCH_N = 0.02
 SEQ, WALL0, WALL1, DT, X = range(len(ROW) - 4)
 GAP_S = 1e-5
@@ -201,7 +201,7 @@ STAND_S = 0.02
 
 @dataclass(slots=True)
 class World:
-    """Everything physical. ``integrate(horizon)`` wears the part by all that is vouched for up to then."""
+    """All physics. ``integrate(horizon)`` wears the part by all motion, force and speed vouched for up to then."""
 
     config: SimConfig
     hidden: HiddenTruth
@@ -214,14 +214,14 @@ class World:
     rpm: Timeline = field(default_factory=Timeline)
     """Of the spindle, with a sign: positive turns counterclockwise, seen from above the part."""
     set_point: Timeline = field(default_factory=Timeline)
-    """Force that the actuator is to exert."""
+    """Force of the actuator."""
     pace: Timeline = field(default_factory=lambda: Timeline(rest=1.0, values=[1.0]))
     """Planned motion within a second of motion: below 1 where an override slows it, 0 where the robot stands."""
     account: DwellAccount = field(default_factory=DwellAccount)
     effects: PlantEffects = field(default_factory=PlantEffects)
     process_s: float = 0.0
     contact_s: float = 0.0
-    """Process time that the tool has polished: what wears and warms it."""
+    """Process time that the tool has polished: it determines wear and warming."""
     acted: list[FloatArray] | None = None
     """Where kept: (n, 4) block, seconds, N and rpm of each stretch of contact, as actuator and spindle measure them."""
     polished_s: float = -math.inf
@@ -241,12 +241,12 @@ class World:
         self._lag = ForceDynamics(*lags) if any(lags) else None
 
     def mount(self, config: SimConfig) -> None:
-        """What SIM.toml says now: the truth from here on, and the tool on the spindle."""
+        """Take SIM.toml as it is now: the truth from here on, and the tool on the spindle."""
         self.config = config
         self._tool = Tool.of(config, self.hidden.robot, self.effects)
 
     def move(self, rows: FloatArray) -> None:
-        """Take motion as the robot reports it (``bus.ROW``); time before it that no row covers was standstill."""
+        """Take motion as the robot reports it (``bus.ROW``); earlier time without a row was standstill."""
         if not len(rows):
             return
         self.stand_until(float(rows[0, WALL0]))
@@ -255,7 +255,7 @@ class World:
         self._turn_to(rows[-1, X:])
 
     def stand_until(self, wall_s: float, pose: Sequence[float] | None = None) -> None:
-        """The robot stands from the last known motion up to that time, where it is or at the pose given."""
+        """Take a standstill from the last known motion up to that time, in place or at the given pose."""
         if pose is not None:
             self._turn_to(pose)
         span = wall_s - self.robot_s
@@ -275,7 +275,7 @@ class World:
         self.robot_s = wall_s
 
     def lift(self) -> None:
-        """The tool leaves the part, in no time."""
+        """End the contact in no time."""
         if self._lag is not None:
             self._lag.lift()
 
@@ -295,11 +295,11 @@ class World:
 
     @property
     def acting_n(self) -> float:
-        """Force between tool and part now, as the actuator exerts it, whatever that says of it."""
+        """The actuator's true force between tool and part now, whatever it reports."""
         return self.force.values[-1] if self.touch_um is not None else 0.0
 
     def integrate(self, horizon_s: float) -> list[tuple[float, float]]:
-        """Wear the part; returns (wall, process) pairs of the clocks."""
+        """Wear the part; return (wall, process) pairs of the clocks."""
         clocks = []
         while self._queue and self._queue[0][1][0, WALL1] <= horizon_s:
             program, rows = self._queue.pop(0)
@@ -356,7 +356,7 @@ class World:
             self._book_pit(rows, removed_nm, touches, force=force, acting=acting_n, rpm=rpm, seconds=seconds)
 
     def mark_way_out(self, at_s: float) -> None:
-        """From now on a second account says what leaving contact costs."""
+        """Start a second account, of the cost of leaving contact."""
         nothing = np.zeros_like(self.part.height_nm)
         self.account.way_out = ContactExitRecord(at_s, nothing, nothing.copy(), until_s=at_s)
 
@@ -373,7 +373,7 @@ class World:
             way_out.standing_nm += removed_nm
 
     def mark_pit(self, at_s: float) -> None:
-        """From now on another account holds what is removed beyond plan; the first such moment counts."""
+        """Start another account, of the removal beyond plan; only the first such moment counts."""
         if self.account.pit is None:
             self.account.pit = Pit(at_s, np.zeros_like(self.part.height_nm), until_s=at_s)
 
@@ -388,7 +388,7 @@ class World:
         rpm: FloatArray,
         seconds: FloatArray,
     ) -> None:
-        """``force`` (n,) as it truly was, where ``acting`` is what the actuator exerted."""
+        """``force`` (n,) is the true one, ``acting`` the actuator's."""
         pit = self.account.pit
         if pit is None or rows[-1, WALL1] < pit.from_s:
             return
@@ -424,7 +424,7 @@ class World:
         return np.asarray(flat & (np.abs(self._gap_mm(place, local)) <= REACH_MM))
 
     def _gap_mm(self, place: FloatArray, local: Local) -> FloatArray:
-        """(n,) from the part, as it truly sits, up its frame's z to the tool's tip."""
+        """(n,) distance from the part, as it truly lies, up its frame's z to the tool's tip."""
         plant = self.config.plant
         about_x, about_y = (math.tan(math.radians(angle)) for angle in plant.seat_tilt_deg)
         level = place[:, 2] - local.height_mm
@@ -433,7 +433,7 @@ class World:
     def _true_force(
         self, coil_n: FloatArray, place: FloatArray, axis: FloatArray, *, begin_s: FloatArray, lasts_s: FloatArray
     ) -> FloatArray:
-        """(n,) what acts where the coil exerts that much: the same but for `Lag`."""
+        """(n,) true force for the coil's force: equal to it except for `Lag`."""
         if self._lag is None:
             return coil_n
         local = self._shape.under(place)

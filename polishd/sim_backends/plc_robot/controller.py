@@ -1,8 +1,8 @@
-"""The controller's mind: variables in, motion, variables out. Pure of I/O but for the file; wall times are handed in.
+"""The controller: variables in, motion, variables out. Pure of I/O except for the file; the caller passes wall times.
 
-It reads the file when it is told to load, a part of it in each cycle: however long the program, the cycle goes on. It
-shows what it does once every report, and stops by itself when nobody counts the heartbeat up. Whoever stands at it may
-hold the feed: it goes on by itself when he lets go.
+On the load command it reads the file, a part in each cycle: the cycle time does not depend on the program's length. It
+updates its outputs once every report, and stops when no client counts the heartbeat up. An operator at the controller
+may hold the feed; motion continues when the operator releases it.
 """
 
 from __future__ import annotations
@@ -20,39 +20,39 @@ from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.program_reader import Intake, Reach
 from polishd.sim_backends.robot.trajectory import BlockColumns as Blocks
 
-# A program file as the controller has it, and which of its lines are the program's own.
+# A program file in the controller, and which of its lines belong to the program.
 
 OURS = b"(polishd)"
-"""Lines that polishd puts in end with it."""
+"""End of each line that polishd inserts."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlcProgram:
-    """A file, and what the plant is to know of it."""
+    """A file, and the facts about it that the plant needs."""
 
     lines: tuple[bytes, ...]
     sha256: str
-    """Of the program without the lines that were put in."""
+    """Of the program without the inserted lines."""
     blocks: int
     inserted: FloatArray
-    """(m,) 0-based lines that were put in."""
+    """(m,) 0-based lines that were inserted."""
 
     @classmethod
     def of(cls, text: bytes) -> PlcProgram:
-        """Take the text apart."""
+        """Parse the text."""
         lines = text.removesuffix(b"\n").split(b"\n")
         inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]
         own = [line for line in lines if not line.endswith(OURS)] if inserted else lines
         return cls(tuple(lines), hashlib.sha256(b"\n".join(own)).hexdigest(), len(own), np.array(inserted, dtype=float))
 
     def blocks_of(self, lines: FloatArray) -> FloatArray:
-        """0-based blocks of the program (n,) of 0-based lines (n,)."""
+        """Return 0-based blocks of the program (n,) of 0-based lines (n,)."""
         blocks = lines - np.searchsorted(self.inserted, lines)
         return np.asarray(np.minimum(blocks, max(self.blocks - 1, 0)), dtype=np.float64)
 
 
 def sha256_of(lines: Sequence[bytes]) -> str:
-    """What the intake hashes."""
+    """Hash the lines as the intake does."""
     return hashlib.sha256(b"".join(line + b"\n" for line in lines)).hexdigest()
 
 
@@ -63,42 +63,42 @@ INPUTS: dict[str, Value] = {
 }  # fmt: skip
 BAD_PROGRAM, NO_PROGRAM, EMERGENCY_STOP = 1, 2, 99
 LINES_A_CYCLE = 500
-"""Read of a program that is being loaded."""
+"""Lines of a program that a load reads in a cycle."""
 
 
 @dataclass(slots=True)
 class Loading:
-    """A program on its way in."""
+    """A program that is being loaded."""
 
     name: str
     program: PlcProgram
     intake: Intake
     blocks: Blocks
     longest_turn_s: float = 0.0
-    """Between two cycles, from the order on."""
+    """Time between two cycles, from the command on."""
 
 
 @dataclass(slots=True)
 class Plc:
-    """What the servers show."""
+    """Values that the servers show."""
 
     config: SimRobotSection
     motion: SimMotion
     folder: Path
     reach: Reach
     report: Callable[..., None]
-    """Tells the witness: (event, at_s=now, **data)."""
+    """Write to the event log: (event, at_s=now, **data)."""
     boot_id: str
     inputs: dict[str, Value] = field(default_factory=lambda: dict(INPUTS))
     shown: dict[str, Value] = field(default_factory=dict)
-    """What the controller tells, as of its last report."""
+    """Return the values that the controller reports, as of its last report."""
     feed_held: bool = False
     program: PlcProgram | None = None
     _before: dict[str, Value] = field(default_factory=lambda: dict(INPUTS))
     _alarm: tuple[int, str] = (0, "")
     _loaded: str = ""
     _was: str = "idle"
-    _heard_s: float = 0.0
+    _heartbeat_s: float = 0.0
     _next_s: float = 0.0
     _beats: int = 0
     _goes_on: bool = False
@@ -107,14 +107,14 @@ class Plc:
     _ticked_s: float | None = None
 
     def tick(self, now_s: float) -> None:
-        """One cycle of the controller's program."""
+        """Run one cycle of the controller's program."""
         self.motion.advance(now_s)
         turn_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
         self._ticked_s = now_s
         inputs, before = dict(self.inputs), self._before
         self._before = inputs
         if inputs["heartbeat"] != before["heartbeat"]:
-            self._heard_s = now_s
+            self._heartbeat_s = now_s
         if self._rises("reset", before):
             self._reset(now_s)
         if self._loading is not None:
@@ -125,9 +125,9 @@ class Plc:
             self.motion.hold(now_s, "hold")
         elif self._rises("start", before) and not inputs["hold"]:
             self._start(now_s)
-        if self.motion.state == "running" and now_s - self._heard_s > self.config.watchdog_s:
+        if self.motion.state == "running" and now_s - self._heartbeat_s > self.config.watchdog_s:
             if not self.motion.stopping:
-                self.report("watchdog", silent_s=round(now_s - self._heard_s, 3))
+                self.report("watchdog", silent_s=round(now_s - self._heartbeat_s, 3))
             self.motion.hold(now_s, "watchdog")
         self._changes()
         if now_s >= self._next_s:
@@ -135,7 +135,7 @@ class Plc:
             self._show(now_s)
 
     def press(self, button: str, now_s: float) -> None:
-        """``emergency stop``, or ``feed hold``: pressed again it lets go."""
+        """Press ``emergency stop`` or ``feed hold``; pressed again it releases."""
         self.motion.advance(now_s)
         if button == "emergency stop":
             self._alarm, self._loading = (EMERGENCY_STOP, button), None
@@ -150,7 +150,7 @@ class Plc:
         self._changes()
 
     def blocks_of(self, lines: FloatArray) -> FloatArray:
-        """The program's blocks (n,) of lines of the file (n,)."""
+        """Return the program's blocks (n,) of lines of the file (n,)."""
         return lines if self.program is None else self.program.blocks_of(lines)
 
     def _rises(self, name: str, before: dict[str, Value]) -> bool:
@@ -163,12 +163,12 @@ class Plc:
             self._unload()
 
     def _unload(self) -> None:
-        """It has no program from now on, and none is on its way."""
+        """Drop the program, and any load under way."""
         self.motion.forget()
         self._was, self._loaded, self.program, self._loading = "idle", "", None, None
 
     def _load(self, name: str) -> None:
-        """The order: what was there is gone, and the file is read from the next cycle on."""
+        """Load on command: drop the old program, and read the file from the next cycle on."""
         if self.motion.state == "running" or self._alarm[0]:
             return
         self._unload()
@@ -183,7 +183,7 @@ class Plc:
         self._loading = Loading(name, program, intake, Blocks(len(lines), self.motion.pose, self.motion.limits))
 
     def _go_on_loading(self, loading: Loading, turn_s: float) -> None:
-        """A cycle's part of the program; with its last line it is loaded."""
+        """Read a cycle's part of the program; with its last line it is loaded."""
         program, intake, blocks = loading.program, loading.intake, loading.blocks
         loading.longest_turn_s = max(loading.longest_turn_s, turn_s)
         first = blocks.accepted
@@ -203,7 +203,7 @@ class Plc:
     def _start(self, now_s: float) -> None:
         if self._alarm[0] or self.feed_held or self.program is None or self.motion.state != "held":
             return
-        self._heard_s = now_s
+        self._heartbeat_s = now_s
         self.motion.resume(now_s, None)
 
     def _changes(self) -> None:
@@ -245,7 +245,7 @@ class Plc:
         return {"idle": IDLE, "running": RUNNING, "done": DONE}[motion.state]
 
     def _line(self, now_s: float) -> tuple[int, float]:
-        """1-based line under way, or of the pause that it stands at, and the wall time at which that began."""
+        """1-based line under way, or of the pause at which it stands, and the wall time at which that began."""
         motion, executed = self.motion, self.motion.executed
         stands_s = now_s if motion.state == "running" else motion.changed_s
         done = len(executed)

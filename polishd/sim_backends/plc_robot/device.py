@@ -1,4 +1,4 @@
-"""The PLC's process: its cycle, its server, and reports to the plant."""
+"""The process of the PLC: its cycle, its server, and reports to the plant."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PROGRAMS = "programs"
 
 
 class PlcServer:
-    """Everything that the process holds."""
+    """All state of the process."""
 
     def __init__(self, runtime: SimRuntime, folder: Path) -> None:
         machine = SimRobotBody(runtime)
@@ -32,7 +32,7 @@ class PlcServer:
         self.plc.tick(time.monotonic())
 
     async def run(self) -> None:
-        """Cycle for ever."""
+        """Cycle until cancelled."""
         while True:
             now = time.monotonic()
             self._machine.set_pace(now)
@@ -41,12 +41,12 @@ class PlcServer:
             await asyncio.sleep(CYCLE_S)
 
     def press(self, button: str) -> None:
-        """Somebody at the controller does."""
+        """Do an operator's action at the controller."""
         self.plc.press(button, time.monotonic())
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     folder = runtime.start.state / PROGRAMS
     folder.mkdir(exist_ok=True)
     server = PlcServer(runtime, folder)
@@ -74,7 +74,7 @@ async def _over_modbus(runtime: SimRuntime, server: PlcServer) -> None:
 
 
 async def _over_ads(runtime: SimRuntime, server: PlcServer) -> None:
-    """ADS knows one TCP port only: the configured one chooses a loopback address of its own."""
+    """ADS has one fixed TCP port: the configured port selects a loopback address instead."""
     robot = runtime.start.config.robot
     wire = SimWire(runtime, servers.AdsServer(server.plc).connected)
     high, low = divmod(robot.port, 256)

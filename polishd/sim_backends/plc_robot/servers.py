@@ -39,7 +39,7 @@ ADS_TYPES: dict[str, tuple[str, int, str]] = {
     "double": ("LREAL", 5, "<d"),
     "string": (f"STRING({STRING_BYTES - 1})", 30, ""),
 }
-"""Name in the PLC, number of the type, how it is packed."""
+"""Name in the PLC, number of the type, and packing."""
 KINDS = {
     "start": "bool", "hold": "bool", "reset": "bool", "load": "bool", "program": "string", "heartbeat": "uint32",
     "state": "uint16", "line": "uint32", "line_began": "double", "state_began": "double", "clock": "double",
@@ -51,12 +51,12 @@ _NAMES = list(KINDS)
 
 @dataclass(slots=True)
 class AdsServer:
-    """Answers on any number of connections."""
+    """Answer on any number of connections."""
 
     plc: Plc
 
     def connected(self, outlet: FaultyLink) -> Feed:
-        """What takes the bytes of a client."""
+        """Return the receiver of a client's bytes."""
         rest = b""
 
         def feed(data: bytes) -> None:
@@ -97,18 +97,18 @@ class AdsServer:
         if group == INFO_BY_NAME:
             return self._symbol(data.rstrip(b"\0").decode("utf-8", "replace"))
         if group == SUM_READ:
-            asked = list(struct.iter_unpack("<III", data[: 12 * offset]))
-            found = [self._read(*one) for one in asked]
+            requests = list(struct.iter_unpack("<III", data[: 12 * offset]))
+            found = [self._read(*one) for one in requests]
             errors = struct.pack(f"<{len(found)}I", *(error for error, _ in found))
-            sized = (value.ljust(size, b"\0") for (_, value), (_, _, size) in zip(found, asked, strict=True))
+            sized = (value.ljust(size, b"\0") for (_, value), (_, _, size) in zip(found, requests, strict=True))
             return OK, errors + b"".join(sized)
         if group == SUM_WRITE:
-            asked = list(struct.iter_unpack("<III", data[: 12 * offset]))
-            at, said = 12 * offset, b""
-            for one_group, one_offset, size in asked:
-                said += struct.pack("<I", self._write(one_group, one_offset, data[at : at + size]))
+            requests = list(struct.iter_unpack("<III", data[: 12 * offset]))
+            at, results = 12 * offset, b""
+            for one_group, one_offset, size in requests:
+                results += struct.pack("<I", self._write(one_group, one_offset, data[at : at + size]))
                 at += size
-            return OK, said
+            return OK, results
         return NO_GROUP, b""
 
     def _symbol(self, symbol: str) -> tuple[int, bytes]:
@@ -169,24 +169,24 @@ def _with_length(error: int, data: bytes) -> bytes:
     return struct.pack("<II", error, len(data)) + data
 
 
-# The PLC's variables over Modbus TCP: bits and registers, a request at a time.
+# The PLC's variables over Modbus TCP: bits and registers, one request at a time.
 
 _HEAD = struct.Struct(">HHHB")
 COILS = ("start", "hold", "reset", "load")
 DISCRETES = ("feed_hold", "in_motion")
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 FILE = "polishd.nc"
-"""What it loads: a register holds no name."""
+"""File that it loads: a register holds no name."""
 
 
 @dataclass(slots=True)
 class ModbusServer:
-    """Answers on any number of connections."""
+    """Answer on any number of connections."""
 
     plc: Plc
 
     def connected(self, outlet: FaultyLink) -> Feed:
-        """What takes the bytes of a client."""
+        """Return the receiver of a client's bytes."""
         self.plc.inputs["program"] = FILE
         rest = b""
 
@@ -204,7 +204,7 @@ class ModbusServer:
         return feed
 
     def answer(self, pdu: bytes) -> bytes:
-        """The answer to a request PDU."""
+        """Return the answer to a request PDU."""
         function = pdu[0]
         if function not in {1, 2, 3, 4, 5, 6, 15, 16}:
             return bytes([function | 0x80, ILLEGAL_FUNCTION])
@@ -213,9 +213,9 @@ class ModbusServer:
         address, number = struct.unpack_from(">HH", pdu, 1)
         if function == 5 and number not in {0, 0xFF00}:
             return bytes([function | 0x80, ILLEGAL_VALUE])
-        said = {1: self._bits, 2: self._bits, 3: self._holding, 4: self._registers}.get(function)
-        if said is not None:
-            found = said(function, address, number)
+        read = {1: self._bits, 2: self._bits, 3: self._holding, 4: self._registers}.get(function)
+        if read is not None:
+            found = read(function, address, number)
             return bytes([function | 0x80, ILLEGAL_ADDRESS]) if found is None else bytes([function, len(found)]) + found
         if function in {5, 15}:
             many = [bool(pdu[6 + at // 8] >> at % 8 & 1) for at in range(min(number, 8 * (len(pdu) - 6)))]
@@ -294,7 +294,7 @@ OPCUA_TYPES = {
 
 @asynccontextmanager
 async def served(plc: Plc) -> AsyncIterator[int]:
-    """The server, for as long as the block lasts; its port on loopback."""
+    """Run the server for the duration of the block; yield its port on loopback."""
     logging.getLogger("asyncua").setLevel(logging.ERROR)
     server = Server()
     await server.init()
@@ -311,7 +311,7 @@ async def served(plc: Plc) -> AsyncIterator[int]:
             await node.set_writable()
             space.set_attribute_value_setter(node.nodeid, ua.AttributeIds.Value, partial(_take, plc, name))
         else:
-            server.set_attribute_value_callback(node.nodeid, partial(_tell, plc, name, kind))
+            server.set_attribute_value_callback(node.nodeid, partial(_shown, plc, name, kind))
     await server.start()
     try:
         assert server.bserver is not None
@@ -321,30 +321,30 @@ async def served(plc: Plc) -> AsyncIterator[int]:
 
 
 def _take(plc: Plc, name: str, node: NodeData, attribute: ua.AttributeIds, value: ua.DataValue) -> ua.DataValue:
-    """A client writes: the controller sees it in its next cycle."""
+    """Take a client's write: the controller sees it in its next cycle."""
     assert value.Value is not None
     node.attributes[attribute].value = value
     plc.inputs[name] = value.Value.Value
     return value
 
 
-def _tell(plc: Plc, name: str, kind: ua.VariantType, _node: ua.NodeId, _attribute: ua.AttributeIds) -> ua.DataValue:
-    """A client reads: it gets what the last report has."""
+def _shown(plc: Plc, name: str, kind: ua.VariantType, _node: ua.NodeId, _attribute: ua.AttributeIds) -> ua.DataValue:
+    """Answer a client's read with the values of the last report."""
     return ua.DataValue(ua.Variant(plc.shown[name], kind), ServerTimestamp=ua.DateTime.now(UTC))
 
 
-# A wire with its mischief before a library's own server: bytes both ways, those to the client late or damaged.
+# A faulty link in front of a library's own server: bytes both ways; bytes to the client may be late or damaged.
 
 
 class Relay:
-    """Passes each client's bytes to the server behind, on loopback."""
+    """Pass each client's bytes to the server behind, on loopback."""
 
     def __init__(self, runtime: SimRuntime, port: int) -> None:
         self._runtime = runtime
         self._port = port
 
     def connected(self, outlet: FaultyLink) -> Feed:
-        """What takes the bytes of a client."""
+        """Return the receiver of a client's bytes."""
         queue: asyncio.Queue[bytes] = asyncio.Queue()
         task = self._runtime.group.create_task(self._serve(queue, outlet))
 
@@ -359,7 +359,7 @@ class Relay:
         async with asyncio.TaskGroup() as group:
             forward = group.create_task(self._forward(queue, writer))
             try:
-                with contextlib.suppress(ConnectionError):  # the server hangs up on nonsense
+                with contextlib.suppress(ConnectionError):  # the server closes the connection on invalid data
                     while data := await reader.read(1 << 16):
                         outlet.send(data)
             finally:

@@ -1,4 +1,4 @@
-"""A profile's requests and answers, as a device on lines of text has them."""
+"""Requests and answers of a profile, from a device on lines of text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TEXTS = {"range": "value out of range", "fault": "a fault is set", "unknown": "n
 
 @dataclass(slots=True)
 class LineSlave:
-    """Answers each line by one line, or none where the profile says so."""
+    """Answer each line by one line, or by none where the profile defines none."""
 
     sheet: SimDeviceProfile
     machine: ProfileDeviceModel
@@ -36,12 +36,12 @@ class LineSlave:
 
     @property
     def table(self) -> Mapping[str, Any]:
-        """``[lines]``."""
+        """Table ``[lines]``."""
         table: Mapping[str, Any] = self.sheet.raw["lines"]
         return table
 
     def feed(self, data: bytes, _now_s: float) -> Iterable[tuple[int, bytes]]:
-        """(bytes of the request, answer) for each whole request."""
+        """Return (bytes of the request, answer) for each whole request."""
         end = self.table.get("ending", "\r\n").encode()[-1:]
         self._buffer += data
         while end in self._buffer:
@@ -61,21 +61,21 @@ class LineSlave:
 
     def _answer(self, request: str) -> str | None:
         machine = self.machine
-        machine.heard()
-        for ask in self.sheet.raw["asks"].values():
-            if ask["send"] == request:
-                words = self.sheet.words(machine.values(), machine.state(), silent=machine.watchdog_fault())
-                return spoken(ask["answer"], words)
+        machine.on_request()
+        for query in self.sheet.raw["asks"].values():
+            if query["send"] == request:
+                values = self.sheet.words(machine.values(), machine.state(), silent=machine.watchdog_fault())
+                return matching_text(query["answer"], values)
         refusal = self._order(request)
         if refusal:
             why = TEXTS[refusal]
             refused = self.table.get("refused", "")
-            return spoken(refused, {"why": f"{refusal},{why}"}) if refused else f"?{why}"
+            return matching_text(refused, {"why": f"{refusal},{why}"}) if refused else f"?{why}"
         accepted = self.table.get("accepted", "OK")
-        return spoken(accepted, {}) if accepted else None
+        return matching_text(accepted, {}) if accepted else None
 
     def _order(self, request: str) -> str:
-        """Do what the request orders; why not, where it does not."""
+        """Execute the command of the request; return the refusal, or empty."""
         for name, steps in sorted(self.sheet.orders(), key=lambda one: "{" in one[1][-1]):
             for at, step in enumerate(steps):
                 match = re.fullmatch(pattern(step), request)
@@ -90,33 +90,33 @@ class LineSlave:
 
 
 def pattern(step: str) -> str:
-    """A regular expression of what a step sends."""
+    """Return a regular expression for the text of a step."""
     parts = Formatter().parse(step)
     return "".join(re.escape(text) + (NUMBER if slot is not None else "") for text, slot, _, _ in parts)
 
 
-def spoken(regex: str, words: Mapping[str, float | str]) -> str:
-    """A text that the expression fits, with these words in its named groups; all else in it must be plain."""
-    said, at = "", 0
+def matching_text(regex: str, values: Mapping[str, float | str]) -> str:
+    """Return a text that matches the expression, with these values in its named groups; the rest must be plain."""
+    text, at = "", 0
     while at < len(regex):
         if regex.startswith("(?P<", at):
             end = _closed(regex, at)
             name, inner = regex[at + 4 : end].split(">", 1)
-            said += _formatted(words.get(name, 0), inner)
+            text += _formatted(values.get(name, 0), inner)
             at = end + 1
         elif regex[at] == "\\":
-            said += regex[at + 1]
+            text += regex[at + 1]
             at += 2
         elif regex[at] in "([{*+?|.":
-            raise ValueError(f"the simulator cannot make up a text that {regex!r} fits")
+            raise ValueError(f"the simulator cannot generate a text for {regex!r}")
         else:
-            said += regex[at]
+            text += regex[at]
             at += 1
-    return said
+    return text
 
 
 def _closed(regex: str, start: int) -> int:
-    """Where the bracket that opens there closes."""
+    """Return the position at which that bracket closes."""
     depth, at = 0, start
     while True:
         if regex[at] == "\\":
@@ -132,11 +132,11 @@ def _formatted(value: float | str, inner: str) -> str:
     texts = [value] if isinstance(value, str) else [form.format(value) for form in FORMATS]
     fitting = [text for text in texts if re.fullmatch(inner, text)]
     if not fitting:
-        raise ValueError(f"the simulator cannot say {value!r} as {inner!r}")
+        raise ValueError(f"the simulator cannot format {value!r} as {inner!r}")
     return fitting[0]
 
 
-# A profile's registers, as a Modbus slave has them.
+# The registers of a profile, on the side of the Modbus slave.
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
 CODES = {"range": ILLEGAL_VALUE, "fault": DEVICE_FAILURE}
@@ -147,16 +147,16 @@ WORDS = {"u32": 2, "i32": 2, "f32": 2}
 
 @dataclass(slots=True)
 class ProfileRegisters:
-    """Answers requests by what the machine is, and turns writes into its orders."""
+    """Answer requests from the machine's state, and turn writes into its commands."""
 
     sheet: SimDeviceProfile
     machine: ProfileDeviceModel
     stored: dict[str, float] = field(default_factory=dict)
-    """What was written last, by register."""
+    """Last written value, by register."""
 
     def answer(self, pdu: bytes) -> bytes:
-        """The answer to a request PDU."""
-        self.machine.heard()
+        """Return the answer to a request PDU."""
+        self.machine.on_request()
         function = pdu[0]
         if function in {1, 2, 3, 4} and len(pdu) == 5:
             result = self._read(function, *struct.unpack(">HH", pdu[1:]))
@@ -188,13 +188,13 @@ class ProfileRegisters:
         return bytes([function, len(packed)]) + packed
 
     def _cells(self, table: str) -> dict[int, int]:
-        """Word (or bit) by address."""
+        """Return word (or bit) by address."""
         machine = self.machine
-        said = self.stored | self.sheet.words(machine.values(), machine.state(), silent=machine.watchdog_fault())
+        values = self.stored | self.sheet.words(machine.values(), machine.state(), silent=machine.watchdog_fault())
         cells: dict[int, int] = {}
         for name, register in self._map.items():
             if register.get("table", "holding") == table:
-                for at, word in enumerate(self._words(register, said.get(name, 0))):
+                for at, word in enumerate(self._words(register, values.get(name, 0))):
                     cells[register["address"] + at] = word
         return cells
 
@@ -212,7 +212,7 @@ class ProfileRegisters:
         return words[::-1] if self._low_first(register) and kind != "text" else words
 
     def _write(self, table: str, address: int, values: list[int]) -> int:
-        """0, or the exception code of the first refusal."""
+        """Return 0, or the exception code of the first refusal."""
         while values:
             found = [
                 (name, register)
@@ -246,7 +246,7 @@ class ProfileRegisters:
         return CODES[refusal] if refusal else 0
 
     def _foreign(self, name: str) -> str:
-        """A value that makes no order whole: fine where an order has it, where it is 0, or where no order writes."""
+        """True if a value that completes no command is valid: part of a command, 0, or a register without commands."""
         steps = [step for _, all_steps in self.sheet.orders() for step in all_steps]
         values = [step.split("=")[1].strip() for step in steps if step.split("=")[0].strip() == name]
         known = not values or self.stored[name] == 0.0
@@ -265,32 +265,32 @@ def _bits(data: bytes, count: int) -> list[int]:
     return [whole >> at & 1 for at in range(count)]
 
 
-# What answers for a profile's device, by its link.
+# The receiver of a profile's device, by its link.
 
 
 class Slave(Protocol):
-    """Takes bytes, gives answers."""
+    """Take bytes, return answers."""
 
     def feed(self, data: bytes, now_s: float, /) -> Iterable[tuple[int, bytes]]:
-        """(bytes of the request, answer) for each whole request."""
+        """Return (bytes of the request, answer) for each whole request."""
         ...
 
 
 def by_profile(sheet: SimDeviceProfile, machine: ProfileDeviceModel, unit: int, *, tcp: bool) -> Slave:
-    """For one connection."""
+    """Make it for one connection."""
     if "lines" in sheet.raw:
         return LineSlave(sheet, machine)
     answer = ProfileRegisters(sheet, machine).answer
     return TcpSlave(unit, answer) if tcp else RtuSlave(unit, answer)
 
 
-# The process of a spindle that speaks what a profile says.
+# The process of a spindle with the protocol of a profile.
 
 TICK_S = 0.01
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     whole, speed = runtime.start.config, runtime.start.speed
     config = whole.spindle
     sheet = SimDeviceProfile.read(whole.resolve(config.profile), config.pole_pairs)

@@ -1,4 +1,4 @@
-"""What a profile's device does, whatever it speaks: a force drive, an inverter, a force sensor. Pure of I/O."""
+"""The behavior of a profile's device, for every protocol: a force drive, an inverter, a force sensor. Pure of I/O."""
 
 from __future__ import annotations
 
@@ -14,86 +14,86 @@ Refusal = str
 
 
 class ProfileDeviceModel(Protocol):
-    """Physical values by name, in N, mm, rpm and ms; a state in words; orders by name."""
+    """Physical values by name, in N, mm, rpm and ms; a state by its name; commands by name."""
 
     def values(self) -> Mapping[str, float | str]:
-        """What it measures, and who it is."""
+        """Measured values and identity."""
         ...
 
     def state(self) -> str:
-        """By the words of profiles."""
+        """Return the state by its name in profiles."""
         ...
 
     def watchdog_fault(self) -> bool:
-        """Its own watchdog has run out, and nobody has taken that back."""
+        """True if its own watchdog has run out and the fault is not reset."""
         ...
 
-    def order(self, name: str, asked: float) -> Refusal:
-        """Do what an order of the profile means."""
+    def order(self, name: str, value: float) -> Refusal:
+        """Execute a command of the profile."""
         ...
 
-    def heard(self) -> None:
-        """Somebody has asked, or told, something."""
+    def on_request(self) -> None:
+        """Take the heartbeat of a request."""
         ...
 
     def step(self, now_s: float) -> None:
-        """Bring it to the present."""
+        """Advance to the present."""
         ...
 
 
 @dataclass(slots=True)
 class ForceDrive:
-    """A voice coil behind another face."""
+    """A voice coil behind a profile."""
 
     coil: VoiceCoil
     identity: Mapping[str, str]
     engages: bool
-    """There is an order for it; else any force lands it."""
+    """There is a command that lands it; else any force does."""
     beats: bool
-    """There is an order that feeds its watchdog; else any request does."""
+    """There is a command that feeds its watchdog; else any request does."""
     STATES = ("retracted", "extending", "contact", "retracting", "fault")
 
     def values(self) -> Mapping[str, float | str]:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         coil = self.coil
         set_point = coil.setpoint_n if coil.engaged else 0.0
         found: dict[str, float | str] = {**self.identity}
         return found | {"force": coil.measured_n, "set_point": set_point, "position": coil.position_um / 1000.0}
 
     def state(self) -> str:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         return self.STATES[self.coil.state]
 
     def watchdog_fault(self) -> bool:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         return bool(self.coil.faults & 1)
 
-    def order(self, name: str, asked: float) -> Refusal:
-        """See Machine."""
+    def order(self, name: str, value: float) -> Refusal:
+        """See ProfileDeviceModel."""
         coil = self.coil
         if name in {"force", "rest"}:
-            lands = not self.engages and asked > 0.0
-            return ("fault" if lands and coil.faults else coil.set_force(asked)) or (coil.engage() if lands else "")
+            lands = not self.engages and value > 0.0
+            return ("fault" if lands and coil.faults else coil.set_force(value)) or (coil.engage() if lands else "")
         if name == "watchdog":
-            return coil.set_watchdog(round(asked))
+            return coil.set_watchdog(round(value))
         if name == "heartbeat":
-            return coil.feed(round(asked))
+            return coil.feed(round(value))
         orders: dict[str, Callable[[], str]] = {"engage": coil.engage, "retract": coil.retract, "clear": coil.retract}
         return orders[name]()
 
-    def heard(self) -> None:
-        """See Machine."""
+    def on_request(self) -> None:
+        """See ProfileDeviceModel."""
         if not self.beats:
             self.coil.feed(self.coil.heartbeat + 1)
 
     def step(self, now_s: float) -> None:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         self.coil.step(now_s)
 
 
 @dataclass(slots=True)
 class Inverter:
-    """A motor on a ramp, which stops where nobody speaks to it any more, and then says that it has a fault."""
+    """A motor on a ramp. It stops when requests cease, and then reports a fault."""
 
     report: Callable[..., None]
     now_s: float
@@ -103,59 +103,59 @@ class Inverter:
     watchdog_s: float
     identity: Mapping[str, str]
     way: int = 1
-    """-1: two phases are exchanged, so that the rotor turns the other way round. Without an encoder it cannot tell."""
+    """-1: two phases are exchanged, and the rotor turns the other way round. It has no encoder to detect that."""
     rpm: float = 0.0
     target_rpm: float = 0.0
     silent: bool = False
     """Its watchdog has run out."""
     samples: list[tuple[float, float]] = field(default_factory=list)
-    """(time, rpm) since they were last taken."""
-    _heard_s: float = 0.0
-    _said: str = "stopped"
+    """(time, rpm) since the samples were last taken."""
+    _request_s: float = 0.0
+    _reported: str = "stopped"
 
     def suffer(self, _fault: FaultSection, on: bool) -> None:
-        """Two phases are exchanged, or put right."""
+        """Exchange two phases, or restore them."""
         self.way = -1 if on else 1
         self.samples.append((self.now_s, self.way * self.rpm))
 
     def values(self) -> Mapping[str, float | str]:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         found: dict[str, float | str] = {**self.identity}
         return found | {"speed": self.rpm, "commanded": abs(self.target_rpm)}
 
     def state(self) -> str:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         if self.silent:
             return "fault"
         return "running" if self.rpm or self.target_rpm else "stopped"
 
     def watchdog_fault(self) -> bool:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         return self.silent
 
-    def order(self, name: str, asked: float) -> Refusal:
-        """See Machine."""
+    def order(self, name: str, value: float) -> Refusal:
+        """See ProfileDeviceModel."""
         if name in {"forward", "reverse"}:
             if self.silent:
                 return "fault"
-            if asked > self.max_rpm:
+            if value > self.max_rpm:
                 return "range"
-            self.target_rpm = asked if name == "forward" else -asked
+            self.target_rpm = value if name == "forward" else -value
         elif name == "stop":
             self.target_rpm = 0.0
         elif name == "clear" and self.rpm == 0.0:
             self.silent = False
         elif name == "watchdog":
-            self.watchdog_s = asked / 1000.0
+            self.watchdog_s = value / 1000.0
         return ""
 
-    def heard(self) -> None:
-        """See Machine."""
-        self._heard_s = self.now_s
+    def on_request(self) -> None:
+        """See ProfileDeviceModel."""
+        self._request_s = self.now_s
 
     def step(self, now_s: float) -> None:
-        """See Machine."""
-        if self.target_rpm and now_s - self._heard_s > self.watchdog_s:
+        """See ProfileDeviceModel."""
+        if self.target_rpm and now_s - self._request_s > self.watchdog_s:
             self.target_rpm, self.silent = 0.0, True
             self.report("watchdog", now_s)
         faster = abs(self.target_rpm) > abs(self.rpm) and self.rpm * self.target_rpm >= 0.0
@@ -165,43 +165,43 @@ class Inverter:
         if self.rpm != before:
             self.samples += [(self.now_s, self.way * before), (now_s, self.way * self.rpm)]
         self.now_s = max(now_s, self.now_s)
-        self._tell(now_s)
+        self._report_motion(now_s)
 
-    def _tell(self, now_s: float) -> None:
+    def _report_motion(self, now_s: float) -> None:
         moving = "ramping" if self.rpm != self.target_rpm else "at_speed" if self.rpm else "stopped"
-        if moving != self._said:
-            self._said = moving
+        if moving != self._reported:
+            self._reported = moving
             self.report(f"spindle_{moving}", now_s, rpm=round(self.rpm, 1))
 
 
 @dataclass(slots=True)
 class Gauge:
-    """A force sensor: what presses on it, less what it was told is nothing."""
+    """A force sensor: the force on it, less its tare."""
 
     pressed_n: Callable[[], float]
     identity: Mapping[str, str]
     zero_n: float = 0.0
 
     def values(self) -> Mapping[str, float | str]:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         return {**self.identity, "force": self.pressed_n() - self.zero_n}
 
     def state(self) -> str:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         return "measuring"
 
     def watchdog_fault(self) -> bool:
-        """See Machine."""
+        """See ProfileDeviceModel."""
         return False
 
-    def order(self, name: str, asked: float) -> Refusal:  # noqa: ARG002 -- nothing is asked of a gauge
-        """See Machine."""
+    def order(self, name: str, value: float) -> Refusal:  # noqa: ARG002 -- a gauge has no set point
+        """See ProfileDeviceModel."""
         if name == "tare":
             self.zero_n = self.pressed_n()
         return ""
 
-    def heard(self) -> None:
-        """See Machine."""
+    def on_request(self) -> None:
+        """See ProfileDeviceModel."""
 
     def step(self, now_s: float) -> None:
-        """See Machine."""
+        """See ProfileDeviceModel."""

@@ -1,4 +1,4 @@
-"""The robot controller's mind: roles, program, credit, watchdog. Pure of I/O; wall times are handed in."""
+"""The robot controller: roles, program, credit, watchdog. Pure of I/O; the caller passes wall times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from polishd.sim_backends.common import framing
 from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.program_reader import Intake, Reach
 
-# Who is connected to the robot controller, and which of them may write.
+# Clients of the robot controller, and which of them may write.
 
 CHUNK = 2000
 """Blocks in one EXECUTED frame."""
@@ -26,49 +26,49 @@ class Client:
 
     send: Callable[[bytes], None]
     backlog: Callable[[], int] = lambda: 0
-    """Bytes that it has not taken yet."""
+    """Bytes that it has not read yet."""
     role: str = ""
-    told: int = 0
-    """Executed blocks of the program that it was told of."""
+    reported: int = 0
+    """Executed blocks of the program that were reported to it."""
     credit: tuple[int, int] = (-1, -1)
     awaits: list[int] = field(default_factory=list)
     """Types (HOLD, ABORT) whose ACK waits for standstill."""
 
     def ack(self, kind: int, status: dict[str, Any]) -> None:
-        """It was done."""
+        """Confirm it."""
         self.send(framing.pack_json(framing.ACK, {"of": kind, "status": status}))
 
-    def tell(self, credit: tuple[int, int], ahead_s: float, executed: Sequence[tuple[int, float, float]]) -> None:
-        """ACCEPTED where ``credit`` changed, EXECUTED where there is more and it takes it."""
+    def report(self, credit: tuple[int, int], ahead_s: float, executed: Sequence[tuple[int, float, float]]) -> None:
+        """Send ACCEPTED where ``credit`` changed, and EXECUTED where there is more and the client reads it."""
         if self.credit != credit:
             self.credit = credit
             self.send(framing.pack(framing.ACCEPTED, struct.pack(">IId", *credit, ahead_s)))
-        while self.told < len(executed) and self.backlog() < BACKLOG:
-            part = executed[self.told : self.told + CHUNK]
+        while self.reported < len(executed) and self.backlog() < BACKLOG:
+            part = executed[self.reported : self.reported + CHUNK]
             self.send(framing.pack_executed(part))
-            self.told += len(part)
+            self.reported += len(part)
 
     def nak(self, kind: int, code: str, text: str) -> None:
-        """It was refused."""
+        """Refuse it."""
         self.send(framing.pack_json(framing.NAK, {"of": kind, "code": code, "text": text}))
 
 
 @dataclass(slots=True)
 class Lease:
-    """The right to write. Each frame of its writer renews it; it lapses when nothing is heard for its time."""
+    """The right to write. Each frame of its writer renews it; it lapses after its time without a frame."""
 
     lasts_s: float
     name: str = ""
-    """The last one given."""
+    """The last lease given."""
     writer: Client | None = None
     """None while its holder is away."""
-    _heard_s: float = float("-inf")
+    _frame_s: float = float("-inf")
     _count: int = 0
 
     def take(self, client: Client, name: str, now_s: float, *, standing: bool) -> bool:
-        """Whether this connection may write from now on; the one that could until now may only read on.
+        """True if this connection may write from now on; the former writer may only read then.
 
-        Where the robot stands, nobody is waited for whose connection has ended.
+        At standstill the robot does not wait for a writer whose connection has ended.
         """
         taken = self.silent_s(now_s) <= self.lasts_s and not (standing and self.writer is None)
         if not self.name or name != self.name:
@@ -78,20 +78,20 @@ class Lease:
             self.name = f"lease-{self._count}"
         if self.writer is not None:
             self.writer.role = "reader"
-        self.writer, self._heard_s = client, now_s
+        self.writer, self._frame_s = client, now_s
         return True
 
-    def heard(self, client: Client, now_s: float) -> None:
-        """A frame of this connection was sound."""
+    def renew(self, client: Client, now_s: float) -> None:
+        """Take a sound frame of this connection."""
         if client is self.writer:
-            self._heard_s = now_s
+            self._frame_s = now_s
 
     def silent_s(self, now_s: float) -> float:
-        """How long nothing was heard of the writer."""
-        return now_s - self._heard_s
+        """Time without a frame of the writer."""
+        return now_s - self._frame_s
 
     def leave(self, client: Client) -> None:
-        """A connection ended."""
+        """End a connection."""
         if client is self.writer:
             self.writer = None
 
@@ -104,63 +104,63 @@ Report = Callable[..., None]
 
 @dataclass(slots=True)
 class SimRobotController:
-    """What answers on the robot link."""
+    """The robot's end of the robot link."""
 
     config: SimRobotSection
     motion: SimMotion
     identity: dict[str, str]
     reach: Reach
     report: Report
-    """Tells the witness: (event, at_s=now, **data)."""
+    """Write to the event log: (event, at_s=now, **data)."""
     clients: list[Client] = field(default_factory=list)
     lease: Lease = field(init=False)
     sha256: str = ""
     stops: int = 0
-    """HOLD, ABORT, LIFT and the watchdog, counted since the start: a RESUME that knows not of the last is stale."""
+    """HOLD, ABORT, LIFT and watchdog stops, counted since the start: a RESUME with an older count is stale."""
     estop: bool = False
-    """Somebody has pressed it: nothing moves until the controller is started anew."""
+    """The emergency stop is pressed: no motion until the controller is started again."""
     _intake: Intake | None = None
     _was: str = "idle"
 
     def __post_init__(self) -> None:
-        """Nobody writes yet."""
+        """Start without a writer."""
         self.lease = Lease(self.config.watchdog_s)
 
     def on_frame(self, client: Client, kind: int, payload: bytes, now_s: float) -> None:
         """Act on one intact frame."""
-        self.lease.heard(client, now_s)
+        self.lease.renew(client, now_s)
         if kind == framing.HELLO:
             self._hello(client, payload, now_s)
         elif not client.role:
             client.nak(kind, "protocol", "the first frame must be HELLO")
         elif kind in WRITER_ONLY and client is not self.lease.writer:
-            client.nak(kind, "reader", "who has not the lease may only watch, ping and hold")
+            client.nak(kind, "reader", "a client without the lease may only watch, ping and hold")
         elif kind == framing.BLOCKS:
             self._blocks(client, payload, now_s)
         else:
             self._command(client, kind, payload, now_s)
 
     def on_broken(self, client: Client) -> None:
-        """A frame of this client was damaged: ask the writer to send again."""
+        """A frame of this client was damaged: request it from the writer again."""
         if client is self.lease.writer and self._intake is not None:
-            self._ask_again(client, self._intake)
+            self._request_resend(client, self._intake)
 
     def on_closed(self, client: Client) -> None:
-        """A connection ended; the controller's state does not."""
+        """End a connection; the controller's state remains."""
         if client in self.clients:
             self.clients.remove(client)
         self.lease.leave(client)
 
     def tick(self, now_s: float) -> None:
-        """Execute up to the present, mind the watchdog, tell everyone."""
+        """Execute up to the present, check the watchdog, report to every client."""
         self.motion.advance(now_s)
         self._watch(now_s)
         self._changes()
         for client in self.clients:
-            self._tell(client)
+            self._report_progress(client)
 
     def status(self) -> dict[str, Any]:
-        """The STATUS object."""
+        """Return the STATUS object."""
         motion = self.motion
         return {
             "state": "fault" if self.estop else motion.state,
@@ -176,7 +176,7 @@ class SimRobotController:
         }
 
     def send_status(self) -> None:
-        """STATUS to everyone."""
+        """Send STATUS to every client."""
         frame = framing.pack_json(framing.STATUS, self.status())
         for client in self.clients:
             client.send(frame)
@@ -185,10 +185,10 @@ class SimRobotController:
         message = framing.unpack_json(payload)
         role = message.get("role") if message else None
         if message is None or message.get("protocol") != 1 or role not in {"writer", "reader"} or client.role:
-            client.nak(framing.HELLO, "protocol", "HELLO wants protocol 1, a role, and comes once")
+            client.nak(framing.HELLO, "protocol", "HELLO needs protocol 1 and a role, and is sent once")
             return
         self.motion.advance(now_s)
-        self._watch(now_s)  # what runs is not handed to a new writer
+        self._watch(now_s)  # a running program is not handed to a new writer
         name, standing = str(message.get("lease", "")), self.motion.state != "running"
         if role == "writer" and not self.lease.take(client, name, now_s, standing=standing):
             client.nak(framing.HELLO, "busy", "another writer has the lease")
@@ -196,22 +196,22 @@ class SimRobotController:
         client.role = role
         self.clients.append(client)
         start = message.get("executed_from", 0)
-        client.told = start if isinstance(start, int) and start >= 0 else 0
+        client.reported = start if isinstance(start, int) and start >= 0 else 0
         welcome = {"protocol": 1, **self.identity, "watchdog_s": self.config.watchdog_s, "window": self.config.window}
         lease = self.lease.name if role == "writer" else ""
         client.send(framing.pack_json(framing.WELCOME, {**welcome, "lease": lease, "status": self.status()}))
         self.report("client", role=role, client=str(message.get("client", "")))
-        self._tell(client)
+        self._report_progress(client)
 
     def _watch(self, now_s: float) -> None:
-        """The watchdog: nobody cares for what runs."""
+        """Stop the program after the watchdog time."""
         silent_s = self.lease.silent_s(now_s)
         if self.motion.state == "running" and not self.motion.stopping and silent_s > self.config.watchdog_s:
             self.report("watchdog", silent_s=round(silent_s, 3))
             self._stop(now_s, "watchdog")
 
     def press(self, button: str, now_s: float) -> None:
-        """``emergency stop``, or ``pause at the pendant``: it stops, and nobody on the link asked for it."""
+        """``emergency stop`` or ``pause at the pendant``: stop without a command of the link."""
         self.estop = self.estop or button == "emergency stop"
         self._stop(now_s, button)
         self._changes()
@@ -236,7 +236,7 @@ class SimRobotController:
         self.motion.advance(now_s)
         expected = self.motion.accepted
         if first > expected:
-            self._ask_again(client, intake)
+            self._request_resend(client, intake)
             return
         new = lines[expected - first :][: self._room()]
         if not new:
@@ -245,17 +245,17 @@ class SimRobotController:
             self.motion.append(now_s, blocks)
         if refusal := intake.refusal():
             client.nak(framing.BLOCKS, *refusal)
-        self._tell(client)
+        self._report_progress(client)
 
-    def _ask_again(self, client: Client, intake: Intake) -> None:
-        """RESEND, once for each gap: what follows it on the wire is no news."""
+    def _request_resend(self, client: Client, intake: Intake) -> None:
+        """Send RESEND, once for each gap: the frames behind a gap on the link are not new gaps."""
         expected = self.motion.accepted
         if intake.asked_from != expected:
             intake.asked_from = expected
             client.send(framing.pack(framing.RESEND, struct.pack(">I", expected)))
 
     def _room(self) -> int:
-        """Blocks that may be sent."""
+        """Return the number of blocks that may be sent."""
         motion = self.motion
         return max(min(len(motion.executed) + self.config.window, motion.path.blocks) - motion.accepted, 0)
 
@@ -265,8 +265,8 @@ class SimRobotController:
             client.nak(kind, "protocol", "the payload is not a JSON object")
         elif kind == framing.PING:
             self.motion.advance(now_s)
-            client.credit = (-1, -1)  # an ACCEPTED that was lost is made good
-            self._tell(client)
+            client.credit = (-1, -1)  # makes up for a lost ACCEPTED
+            self._report_progress(client)
             client.send(framing.pack_json(framing.STATUS, self.status()))
         elif kind == framing.LOAD:
             self._load(client, message, now_s)
@@ -284,7 +284,7 @@ class SimRobotController:
     def _lift(self, client: Client, message: dict[str, Any], now_s: float) -> None:
         distance_mm = message.get("distance_mm")
         if not isinstance(distance_mm, int | float) or not 0.0 < distance_mm <= LONGEST_LIFT_MM:
-            client.nak(framing.LIFT, "protocol", f"LIFT wants distance_mm, at most {LONGEST_LIFT_MM:g}")
+            client.nak(framing.LIFT, "protocol", f"LIFT needs distance_mm, at most {LONGEST_LIFT_MM:g}")
             return
         if self.estop:
             client.nak(framing.LIFT, "fault", "emergency stop")
@@ -302,17 +302,17 @@ class SimRobotController:
             client.nak(framing.LOAD, "running", "hold first")
             return
         if not name or not hashed or not isinstance(blocks, int) or not 0 < blocks <= MAX_BLOCKS:
-            client.nak(framing.LOAD, "protocol", "LOAD wants program_sha256, blocks_sha256 and blocks")
+            client.nak(framing.LOAD, "protocol", "LOAD needs program_sha256, blocks_sha256 and blocks")
             return
         self.motion.load(blocks)
         self.sha256 = name
         self._intake = Intake(self.config, self.reach, blocks, hashed, self.motion.pose)
         for each in self.clients:
-            each.told = 0
+            each.reported = 0
         self.report("program_loaded", sha256=self.sha256, blocks=blocks)
         client.ack(framing.LOAD, self.status())
         self.send_status()
-        self._tell(client)
+        self._report_progress(client)
 
     def _resume(self, client: Client, message: dict[str, Any], now_s: float) -> None:
         until, intake = message.get("until"), self._intake
@@ -326,24 +326,27 @@ class SimRobotController:
         elif until is not None and not isinstance(until, int):
             client.nak(framing.RESUME, "protocol", "until is a sequence number or null")
         elif message.get("stops") != self.stops:
-            client.nak(framing.RESUME, "stale", f"{self.stops} stops, not {message.get('stops')}: look again")
+            client.nak(
+                framing.RESUME, "stale", f"{self.stops} stops, not {message.get('stops')}: read the status again"
+            )
         else:
             self.motion.resume(now_s, until)
             client.ack(framing.RESUME, self.status())
             self._changes()
 
     def _changes(self) -> None:
-        """Report starts and stops; give the ACKs that waited for standstill."""
+        """Report starts and stops; send the ACKs that waited for standstill."""
         motion = self.motion
         while (state := motion.state) != (was := self._was):
-            self._was = state  # before the report, which brings the motion to the present: it may have gone on since
+            # before the report, which advances the motion to the present: it may have continued since
+            self._was = state
             name = "motion_started" if state == "running" else "motion_stopped"
             if "running" in {state, was}:
                 self.report(name, motion.changed_s, detail=motion.detail or state, executed=len(motion.executed))
         if motion.state == "running":
             return
         for client in [client for client in self.clients if client.awaits]:
-            self._tell(client)
+            self._report_progress(client)
             for kind in client.awaits:
                 if kind == framing.ABORT:
                     motion.forget()
@@ -352,6 +355,6 @@ class SimRobotController:
                 client.ack(kind, self.status())
             client.awaits.clear()
 
-    def _tell(self, client: Client) -> None:
+    def _report_progress(self, client: Client) -> None:
         motion = self.motion
-        client.tell((motion.accepted, self._room()), motion.ahead_s, motion.executed)
+        client.report((motion.accepted, self._room()), motion.ahead_s, motion.executed)

@@ -1,4 +1,4 @@
-"""The robot controller's process: the link's TCP side, the clock, and reports to the plant."""
+"""The process of the robot controller: the link's TCP side, the clock, and reports to the plant."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATUS_S = 0.05
 
 
 class RobotServer:
-    """Everything that the process holds."""
+    """All state of the process."""
 
     def __init__(self, runtime: SimRuntime) -> None:
         identity = {
@@ -35,7 +35,7 @@ class RobotServer:
         self.controller = SimRobotController(robot, machine.motion, identity, machine.reach, machine.event)
 
     async def run(self) -> None:
-        """Tick for ever."""
+        """Tick until cancelled."""
         next_status = time.monotonic()
         while True:
             now = time.monotonic()
@@ -48,7 +48,7 @@ class RobotServer:
             await asyncio.sleep(TICK_S)
 
     def connected(self, outlet: FaultyLink) -> Feed:
-        """What takes the bytes of a client: it acts on each whole frame. Nothing moves because somebody connects."""
+        """Return the receiver of a client's bytes: it acts on each whole frame. A connection alone moves nothing."""
         client, splitter, broken = Client(outlet.send, outlet.backlog), framing.Splitter(), 0
         outlet.on_closed = lambda: self.controller.on_closed(client)
 
@@ -65,7 +65,7 @@ class RobotServer:
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     server = RobotServer(runtime)
     config = runtime.start.config.robot
     wire = SimWire(runtime, server.connected)

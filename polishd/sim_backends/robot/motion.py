@@ -1,4 +1,4 @@
-"""Execution: the controller's process clock, its blocks, and where the tool is. Pure of I/O; times are handed in."""
+"""Execution: the controller's process clock, its blocks, the tool's position. Pure of I/O; the caller passes times."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from polishd.sim_backends.common.runtime import ROW, SimRuntime
 from polishd.sim_backends.robot.program_reader import Pose, SimProgramBlock
 from polishd.sim_backends.robot.trajectory import PAUSE, BlockColumns, Cursor, Legs, Limits, braking, plan, rows
 
-# Leaving the path along the tool's axis: a trapezoid of its own, laid over what the path still does.
+# Leaving the path along the tool's axis: a separate trapezoid, added to the remaining motion on the path.
 
 STEP_S = 0.002
 
@@ -36,12 +36,12 @@ class Lift:
 
     @property
     def end_s(self) -> float:
-        """When it stands."""
+        """Time of its standstill."""
         up_s, cruise_s = self._phases()
         return self.begin_s + 2.0 * up_s + cruise_s
 
     def offset_mm(self, process_s: FloatArray) -> FloatArray:
-        """How far off the path it is, (n,)."""
+        """(n,) distance from the path."""
         up_s, cruise_s = self._phases()
         t = np.clip(process_s - self.begin_s, 0.0, 2.0 * up_s + cruise_s)
         down_s = np.maximum(t - up_s - cruise_s, 0.0)
@@ -50,7 +50,7 @@ class Lift:
         return np.asarray(rising + top * np.maximum(t - up_s, 0.0) - 0.5 * self.accel_mm_s2 * down_s**2)
 
     def poses(self, path: FloatArray, process_s: FloatArray) -> FloatArray:
-        """Poses of the path (n, 5) at those times (n,), lifted along their own tool axes."""
+        """Return poses of the path (n, 5) at those times (n,), lifted along their own tool axes."""
         axis = tool_axis(path[:, 3], path[:, 4])
         return np.column_stack([path[:, :3] + axis * self.offset_mm(process_s)[:, None], path[:, 3:]])
 
@@ -62,7 +62,7 @@ class Lift:
 
 
 def standing(seq: int, pose: Pose, since_s: float, until_s: float) -> FloatArray:
-    """Rows (n, 8) of a tool that stands on its path: seq, from_s, to_s and its pose."""
+    """Rows (n, 8) of a tool at standstill on its path: seq, from_s, to_s and its pose."""
     edges = np.linspace(since_s, until_s, max(math.ceil((until_s - since_s) / STEP_S), 1) + 1)
     count = len(edges) - 1
     return np.column_stack([np.full(count, float(seq)), edges[:-1], edges[1:], np.tile(pose, (count, 1))])
@@ -73,7 +73,7 @@ State = Literal["idle", "held", "running", "done"]
 
 @dataclass(slots=True)
 class SimMotion:
-    """The executor. ``advance(wall)`` brings it to the present; ``rows`` and ``executed`` collect what happened."""
+    """The executor. ``advance(wall)`` runs it up to the present; ``rows`` and ``executed`` collect the results."""
 
     limits: Limits
     pose: Pose
@@ -82,37 +82,37 @@ class SimMotion:
     path: BlockColumns = field(init=False)
     until: int | None = None
     rows: list[FloatArray] = field(default_factory=list)
-    """Motion since they were last taken, see ``bus.ROW``."""
+    """Motion since the rows were last taken, see ``bus.ROW``."""
     executed: list[tuple[int, float, float]] = field(default_factory=list)
     """(seq, start_s, end_s) of every executed block of the program."""
     stopping: str = ""
     changed_s: float = 0.0
     """Wall time of the last start or stop."""
     process_s: float = 0.0
-    """The controller's process clock; it runs while the state is running, at whatever pace the tool moves."""
+    """The controller's process clock; it runs while the state is running, at any speed of the tool."""
     pace: float = 1.0
-    """Speed of the motion as a fraction of the planned one; 0: the tool stands, and the state stays running."""
+    """Speed of the motion as a fraction of the planned one; 0: standstill, and the state stays running."""
     reported_pace: float = 1.0
     """Speed override that the controller reports, as a fraction."""
     _legs_s: float = 0.0
-    """Time of the planned motion, which goes with the pace."""
+    """Time of the planned motion, scaled by the pace."""
     _cursor: Cursor = field(default_factory=Cursor)
     _legs: Legs = field(init=False)
     _leg: int = 0
     _stale: bool = False
-    """Blocks were accepted that the legs do not have."""
+    """Blocks were accepted that the legs do not contain yet."""
     _begun_s: float | None = None
     _origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Wall time, process time and time of the planned motion, since which the pace is what it is."""
+    """Wall time, process time and time of the planned motion at the last change of the pace."""
     _lift: Lift | None = None
-    """Under way, or done: the program cannot be gone on with."""
+    """A lift is under way or done: the program cannot continue."""
 
     def __post_init__(self) -> None:
         """Start without a program."""
         self.forget()
 
     def load(self, program: int | BlockColumns) -> None:
-        """Forget the old program; expect block 0 of a new one of so many, or take one whose blocks are there."""
+        """Drop the old program; expect block 0 of a new one of so many, or take one whose blocks are there."""
         self.path = program if isinstance(program, BlockColumns) else BlockColumns(program, self.pose, self.limits)
         self._cursor, self._begun_s = Cursor(), None
         self.executed, self.until, self.stopping, self._lift = [], None, "", None
@@ -125,7 +125,7 @@ class SimMotion:
         self.state, self.detail = "idle", ""
 
     def append(self, wall_s: float, blocks: Sequence[SimProgramBlock]) -> None:
-        """Take blocks; the profile of what lies ahead is renewed when it is asked for."""
+        """Take blocks; the profile of the motion ahead is computed on demand."""
         self.advance(wall_s)
         self.path.append(blocks)
         self._stale = not self.stopping
@@ -147,16 +147,16 @@ class SimMotion:
         self.advance(wall_s)
 
     def set_pace(self, wall_s: float, pace: float) -> None:
-        """Go on at another speed from now on: a speed override, or 0 for a tool that stands."""
+        """Continue at another speed from now on: a speed override, or 0 for standstill."""
         if pace == self.pace:
             return
         self.advance(wall_s)
         self._origin, self.pace = (wall_s, self.process_s, self._legs_s), pace
         if pace == 0.0 and self.stopping and not self.lifted:
-            self._brake(self.stopping)  # it stands, and brakes no further
+            self._brake(self.stopping)  # already at standstill
 
     def hold(self, wall_s: float, why: str) -> None:
-        """Decelerate along the path and stand still."""
+        """Decelerate along the path to standstill."""
         self.advance(wall_s)
         if self.state == "held":
             self.detail = why
@@ -166,7 +166,7 @@ class SimMotion:
         self.advance(wall_s)
 
     def lift(self, wall_s: float, distance_mm: float) -> None:
-        """Leave the path along the tool's axis while it still moves, and stand still there."""
+        """Leave the path along the tool's axis while it still moves, and stop there."""
         self.advance(wall_s)
         if self.lifted:
             return
@@ -182,13 +182,13 @@ class SimMotion:
 
     @property
     def lifted(self) -> bool:
-        """It has left its path, or is leaving it."""
+        """True while it leaves its path, and afterwards."""
         return self._lift is not None
 
     def _brake(self, why: str) -> None:
         self.stopping = why
         if self.pace == 0.0:
-            self._cursor.speed = 0.0  # it stands already
+            self._cursor.speed = 0.0  # already at standstill
         if self._cursor.block < self.path.accepted:
             self._legs, self._leg = braking(self.path, self._cursor, self._legs_s), 0
 
@@ -212,17 +212,17 @@ class SimMotion:
             self._stop()
 
     def _process_at(self, legs_s: FloatArray) -> FloatArray:
-        """Process time at times of the planned motion (n,), since the pace is what it is."""
+        """Process time at times of the planned motion (n,), since the last change of the pace."""
         _, process_s, since = self._origin
         return process_s + (legs_s - since) / self.pace if self.pace else np.full_like(legs_s, process_s)
 
     def wall_at(self, process_s: FloatArray) -> FloatArray:
-        """Wall time at process times (n,) since motion began, or went on at another pace."""
+        """Wall time at process times (n,) since motion began, continued, or changed its pace."""
         return self._origin[0] + (process_s - self._origin[1]) / self.limits.speed
 
     @property
     def accepted(self) -> int:
-        """Blocks accepted."""
+        """Number of accepted blocks."""
         return self.path.accepted
 
     @property
@@ -243,7 +243,7 @@ class SimMotion:
         self._leg, self._stale = 0, False
 
     def _witness(self, legs: Legs, run: tuple[int, int], since: tuple[float, float]) -> None:
-        """Book what was done since those process and motion times."""
+        """Book the motion since those process and motion times."""
         if self.process_s <= since[0]:
             return
         if self.pace == 0.0:
@@ -260,7 +260,7 @@ class SimMotion:
         self.rows.append(np.column_stack([cut[:, 0], times, cut[:, 2] - cut[:, 1], cut[:, 3:]]))
 
     def _off_the_path(self, cut: FloatArray, since: float) -> FloatArray:
-        """What the path does, and what is left of the lift once that stands, both lifted."""
+        """Motion on the path, and the rest of the lift after it, both lifted."""
         lift = self._lift
         if lift is None:
             return cut
@@ -304,7 +304,7 @@ class SimMotion:
         return (x, y, z, a, c)
 
     def _stop(self) -> None:
-        """The legs are run: say why the tool stands."""
+        """End the motion: record the reason of the standstill."""
         done = self._cursor.block
         if done >= self.path.blocks and not self.lifted:
             self.state, self.detail = "done", ""
@@ -321,15 +321,15 @@ class SimMotion:
         self._plan()
 
     def _starved(self) -> bool:
-        """Whether the stop came because there was nothing to run at all, not because of a pause."""
+        """True if it stopped because no blocks were left, not because of a pause."""
         return len(self._legs.block) == 0
 
 
-# The moving part of any simulated robot: its hidden truth, its reach, and what it tells the plant of its motion.
+# The moving part of any simulated robot: its hidden truth, its reach, and its motion reports to the plant.
 
 
 class SimRobotBody:
-    """What a controller orders."""
+    """Commands of a controller."""
 
     def __init__(self, runtime: SimRuntime) -> None:
         start, robot = runtime.start, runtime.start.config.robot
@@ -354,7 +354,7 @@ class SimRobotBody:
         self._reaching = None if isinstance(model, MeasuredCompliance) else Reaching(model)
 
     def set_pace(self, now_s: float) -> None:
-        """Move from now on as fast as the faults of the script allow, and tell the plant."""
+        """Move from now on as fast as the faults of the script allow, and report it to the plant."""
         pace = self._override.actual(now_s)
         if pace != self.motion.pace:
             self.motion.set_pace(now_s, pace)
@@ -362,19 +362,19 @@ class SimRobotBody:
         self.motion.reported_pace = self._override.reported(now_s)
 
     def reach(self, blocks: list[SimProgramBlock]) -> BoolArray:
-        """Which blocks end where the robot can be; of one that was only measured nobody knows."""
+        """True for blocks that end within reach; a robot known only by measurements has no limit."""
         poses = np.array([block.end for block in blocks]).reshape(-1, 5)
         if self._reaching is None:
             return np.ones(len(poses), dtype=np.bool_)
         return self._reaching.reached(*self._frames.in_base(*self._frames.in_part(poses)))
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
-        """Tell the witness, after the motion that came before."""
+        """Log an event, after the motion that came before."""
         self.report()
         self._runtime.link.event(name, at_s, **data)
 
     def report(self) -> None:
-        """Send what moved since the last time, and vouch for it."""
+        """Send the motion since the last call, and vouch for it."""
         motion = self.motion
         now = time.monotonic()
         motion.advance(now)

@@ -1,4 +1,4 @@
-"""The robot controller's own reader of RNC blocks: one line after the other, modal, nothing guessed.
+"""The robot controller's own reader of RNC blocks: line by line, modal, without guesses.
 
 G0 G1 G4 G20 G21 G90 G91 G93 G94, M0 M2 M30, words N F P X Y Z A C; comments ``( )`` and ``;``, ``%`` and blank lines;
 G17 G40 G49 G54 G61 G64 G80 are accepted and change nothing.
@@ -30,7 +30,7 @@ _LETTERS = frozenset("NGMFPXYZAC")
 
 @dataclass(frozen=True, slots=True)
 class SimProgramBlock:
-    """What a line means: where the tool ends, how fast (mm/s or deg/s; 0 = rapid), or how long it stands."""
+    """Meaning of a line: end of the tool, speed (mm/s or deg/s; 0 = rapid), or duration of a dwell."""
 
     kind: Kind
     end: Pose
@@ -53,7 +53,7 @@ class Reader:
     ended: bool = False
 
     def read(self, line: bytes) -> SimProgramBlock:
-        """Understand one line; ProgramError says why not."""
+        """Parse one line; ProgramError names the problem."""
         words = [] if self.ended else _words(line)
         if not words:
             return SimProgramBlock("none", self.pose)
@@ -154,15 +154,15 @@ def _words(line: bytes) -> list[tuple[str, float]]:
     return words
 
 
-# The loaded program on its way in: each block is read, checked and hashed before it is accepted.
+# The intake of a program: each block is read, checked and hashed before it is accepted.
 
 Reach = Callable[[list[SimProgramBlock]], BoolArray]
-"""Which of these blocks end where the robot can be, (n,)."""
+"""True for each of these blocks that ends within the robot's reach, (n,)."""
 
 
 @dataclass(slots=True)
 class Intake:
-    """Nothing after a refused block is accepted, and no last block of a program that is not the one announced."""
+    """Intake of blocks. It accepts no block after a refused one, and no last block of a program with another hash."""
 
     config: SimRobotSection
     reach: Reach
@@ -170,21 +170,21 @@ class Intake:
     blocks_sha256: str
     pose: Pose
     asked_from: int = -1
-    """Block that RESEND has asked for."""
+    """Block of the pending RESEND request."""
     _refusal: tuple[str, str] | None = None
     _reader: Reader = field(init=False)
     _hash: Any = field(default_factory=hashlib.sha256)
 
     def __post_init__(self) -> None:
-        """Modal state begins anew with each program."""
+        """Modal state starts again with each program."""
         self._reader = Reader(self.pose)
 
     def refusal(self) -> tuple[str, str] | None:
-        """Code and text, once a block was refused."""
+        """Code and text of the first refusal."""
         return self._refusal
 
     def take(self, first: int, lines: list[bytes]) -> list[SimProgramBlock]:
-        """The blocks that are accepted of these, the first of which is the one expected."""
+        """Accept blocks, the first of which is the expected one; return those that are accepted."""
         blocks: list[SimProgramBlock] = []
         for seq, line in enumerate(lines, first):
             try:

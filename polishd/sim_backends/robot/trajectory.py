@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.sim_backends.robot.program_reader import Pose, SimProgramBlock
 
-# The controller's block store: what each accepted block is, as columns.
+# The controller's block store: accepted blocks as columns.
 
 NONE, MOVE, DWELL, PAUSE = 0, 1, 2, 3
 _KINDS = {"none": NONE, "move": MOVE, "dwell": DWELL, "pause": PAUSE}
@@ -20,7 +20,7 @@ _KINDS = {"none": NONE, "move": MOVE, "dwell": DWELL, "pause": PAUSE}
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What this machine does."""
+    """Limits of this machine."""
 
     accel_mm_s2: float
     overhead_s: float
@@ -111,7 +111,7 @@ class Trapezoids:
 def junctions(length: FloatArray, cap: FloatArray, start: float, accel: float) -> FloatArray:
     """Squared speeds at the n + 1 junctions of n moves.
 
-    ``cap`` (n + 1,) is the squared speed allowed at each junction; the last is where it must be able to stop.
+    ``cap`` (n + 1,) is the squared speed allowed at each junction; a stop must be possible at the last one.
     Forward and backward pass in closed form: ``u[i+1] <= u[i] + 2 a L`` is a running minimum of ``cap - sum 2 a L``.
     """
     gain = np.concatenate([[0.0], np.cumsum(2.0 * accel * length)])
@@ -157,7 +157,7 @@ STEP_S = 0.05
 
 @dataclass(slots=True)
 class Cursor:
-    """Where the tool is: the first block not completed, how much of it is done, and the speed."""
+    """Position of the tool: the first block not completed, the part of it that is done, and the speed."""
 
     block: int = 0
     done_mm: float = 0.0
@@ -167,7 +167,7 @@ class Cursor:
 
 @dataclass(frozen=True, slots=True)
 class Legs:
-    """m legs in order. ``end_s`` is when each ends; ``stop`` the last leg to be run before standing still."""
+    """m legs in order. ``end_s`` is the end of each; ``stop`` the last leg before standstill."""
 
     block: NDArray[np.int64]
     from_mm: FloatArray
@@ -245,9 +245,9 @@ def braking(path: BlockColumns, cursor: Cursor, process_s: float) -> Legs:
 
 
 def rows(path: BlockColumns, legs: Legs, first: int, last: int, span: tuple[float, float]) -> FloatArray:
-    """Motion between two process times, cut finely: (n, 8) of seq, from_s, to_s and the pose half-way.
+    """Motion between two process times, finely divided: (n, 8) of seq, from_s, to_s and the pose half-way.
 
-    ``first`` and ``last`` are the legs that the two times lie in.
+    ``first`` and ``last`` are the legs that contain the two times.
     """
     k = np.arange(first, min(last, len(legs.block) - 1) + 1)
     low, high = np.clip(legs.start_s[k], *span), np.clip(legs.end_s[k], *span)
@@ -271,7 +271,7 @@ def rows(path: BlockColumns, legs: Legs, first: int, last: int, span: tuple[floa
 
 
 def _left(path: BlockColumns, cursor: Cursor) -> float:
-    """Share of the cursor's block that is still to do."""
+    """Remaining share of the cursor's block."""
     total, done = path.length[cursor.block], cursor.done_mm
     if path.kind[cursor.block] == DWELL:
         total, done = path.seconds[cursor.block], cursor.done_s

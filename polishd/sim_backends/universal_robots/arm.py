@@ -1,7 +1,7 @@
-"""The arm: where the tool is, frame by frame. Lengths are mm; the trajectory's time stretches with the speed slider.
+"""The arm: the tool's pose, frame by frame. Lengths are mm; the trajectory's time stretches with the speed slider.
 
-A line is a trapezoid of speed from rest to rest. One that begins while another still runs out (a blend) is laid over
-it. What is told to nobody any more brakes by itself.
+A line is a trapezoid of speed from rest to rest. A line that begins while another still decelerates (a blend) is added
+to it. Without a motion command the arm brakes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Triple = tuple[float, float, float]
 
 
 def from_vector(vector: Sequence[float]) -> Quaternion:
-    """The quaternion (w, x, y, z) of a rotation vector, rad."""
+    """Return the quaternion (w, x, y, z) of a rotation vector, rad."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     share = math.sin(angle / 2.0) / angle if angle > 1e-12 else 0.5
@@ -29,7 +29,7 @@ def from_vector(vector: Sequence[float]) -> Quaternion:
 
 
 def to_vector(quaternion: Quaternion) -> Triple:
-    """The rotation vector, rad, of at most pi."""
+    """Return the rotation vector, rad, of at most pi."""
     w, x, y, z = quaternion if quaternion[0] >= 0.0 else tuple(-part for part in quaternion)
     length = math.sqrt(x * x + y * y + z * z)
     share = 2.0 * math.atan2(length, w) / length if length > 1e-12 else 2.0
@@ -37,7 +37,7 @@ def to_vector(quaternion: Quaternion) -> Triple:
 
 
 def turned(quaternion: Quaternion, vector: Sequence[float]) -> Triple:
-    """A vector, turned."""
+    """Turn a vector."""
     w, x, y, z = quaternion
     vx, vy, vz = vector
     tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
@@ -49,7 +49,7 @@ def turned(quaternion: Quaternion, vector: Sequence[float]) -> Triple:
 
 
 def after(first: Quaternion, second: Quaternion) -> Quaternion:
-    """``first`` times ``second``: turned by the second, then by the first."""
+    """Return ``first`` times ``second``: turned by the second, then by the first."""
     a, b, c, d = first
     e, f, g, h = second
     return (
@@ -61,7 +61,7 @@ def after(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def between(begin: Quaternion, end: Quaternion, share: float) -> Quaternion:
-    """On the way from one to the other, at constant angular speed."""
+    """Interpolate between the two at constant angular speed."""
     dot = sum(a * b for a, b in zip(begin, end, strict=True))
     sign = 1.0 if dot >= 0.0 else -1.0
     angle = math.acos(min(abs(dot), 1.0))
@@ -73,19 +73,19 @@ def between(begin: Quaternion, end: Quaternion, share: float) -> Quaternion:
 
 
 def angle(begin: Quaternion, end: Quaternion) -> float:
-    """Between two orientations, rad."""
+    """Return the angle between two orientations, rad."""
     return 2.0 * math.acos(min(abs(sum(a * b for a, b in zip(begin, end, strict=True))), 1.0))
 
 
 def wrist_deg(quaternion: Quaternion) -> tuple[float, float]:
-    """A and C of the plant, deg: the tool axis points from the tip into the spindle, against the tool frame's z."""
+    """Return A and C of the plant, deg: the tool axis points from the tip into the spindle, against the frame's z."""
     x, y, z = (-part for part in turned(quaternion, (0.0, 0.0, 1.0)))
     a = math.acos(max(-1.0, min(z, 1.0)))
     return math.degrees(a), math.degrees(math.atan2(x, -y)) if a > 1e-9 else 0.0
 
 
 def from_wrist(a_deg: float, c_deg: float) -> Quaternion:
-    """An orientation that has these A and C."""
+    """Return an orientation that has these A and C."""
     half_a, half_c = math.radians(a_deg) / 2.0, math.radians(c_deg) / 2.0
     dip = after((math.cos(half_c), 0.0, 0.0, math.sin(half_c)), (math.cos(half_a), math.sin(half_a), 0.0, 0.0))
     return after(dip, (0.0, 1.0, 0.0, 0.0))
@@ -107,7 +107,7 @@ class ToolPose:
 
 @dataclass(slots=True)
 class LinearMove:
-    """A straight way with a trapezoid of speed."""
+    """A straight line with a trapezoid of speed."""
 
     begin: ToolPose
     end: ToolPose
@@ -118,7 +118,7 @@ class LinearMove:
     _top: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """A turn on the spot takes time, too."""
+        """A turn in place takes time, too."""
         way = math.dist(self.begin.xyz_mm, self.end.xyz_mm)
         self.length_mm = max(way, angle(self.begin.turn, self.end.turn) * self.speed_mm_s / TURN_RAD_S)
         self._top = min(self.speed_mm_s, math.sqrt(self.accel_mm_s2 * self.length_mm))
@@ -132,11 +132,11 @@ class LinearMove:
 
     @property
     def left_mm(self) -> float:
-        """Of its way."""
+        """Length of its path."""
         return self.length_mm - self._along()
 
     def share(self) -> float:
-        """Of the way that is done."""
+        """Length of the path that is done."""
         return min(self._along() / self.length_mm, 1.0) if self.length_mm else 1.0
 
     def _along(self) -> float:
@@ -148,7 +148,7 @@ class LinearMove:
 
 @dataclass(slots=True)
 class UrArm:
-    """Moved by one command at a time."""
+    """The arm, moved by one command at a time."""
 
     place: ToolPose
     velocity: Triple = REST
@@ -157,42 +157,42 @@ class UrArm:
     _running_out: list[LinearMove] = field(default_factory=list)
     """Lines that were left within their blend radius."""
     _target: Triple | None = None
-    """Speed that is asked for, ..."""
+    """Commanded speed, ..."""
     _accel: float = BRAKE_MM_S2
-    """... and how fast it changes."""
+    """... and acceleration."""
 
     @classmethod
     def at(cls, pose: tuple[float, ...]) -> UrArm:
-        """Standing at X Y Z A C of the plant."""
+        """Start at standstill at X Y Z A C of the plant."""
         x, y, z, a, c = pose
         return cls(ToolPose((x, y, z), from_wrist(a, c)))
 
     @property
     def stands(self) -> bool:
-        """It is at rest and goes nowhere."""
+        """True at rest without a target."""
         return not self.moves and self._line is None and self._target is None
 
     @property
     def moves(self) -> bool:
-        """It has a speed."""
+        """True with a speed."""
         return math.hypot(*self.velocity) >= STILL_MM_S
 
     @property
     def follows(self) -> bool:
-        """It is on its way along a line, at the trajectory's pace."""
+        """True on a line, at the trajectory's pace."""
         return self._line is not None
 
     @property
     def driven(self) -> bool:
-        """It follows a line or a speed; one that brakes is not."""
+        """True on a line or at a commanded speed; False while braking."""
         return self._line is not None or (self._target is not None and self._target != REST)
 
     def pose_m(self) -> list[float]:
-        """As URScript writes it: m and a rotation vector."""
+        """The pose as URScript writes it: m and a rotation vector."""
         return [*(part / 1000.0 for part in self.place.xyz_mm), *to_vector(self.place.turn)]
 
     def line(self, end: ToolPose, accel_mm_s2: float, speed_mm_s: float) -> None:
-        """Go there; what is left of a line before is laid over it."""
+        """Go there; the rest of an earlier line is added."""
         begin = self.place
         if self._line is not None:
             begin = self._line.end
@@ -200,12 +200,12 @@ class UrArm:
         self._line, self._target = LinearMove(begin, end, accel_mm_s2, speed_mm_s), None
 
     def reached(self, within_mm: float = 0.0) -> bool:
-        """The line is done, or left to within so much."""
+        """True if the line is done, except for at most this length."""
         line = self._line
         return line is None or (within_mm > 0.0 and line.left_mm <= within_mm)
 
     def aim(self, velocity: Triple, accel_mm_s2: float) -> None:
-        """Change to that velocity, mm/s, from whatever it has now."""
+        """Change to that velocity, mm/s, from the present one."""
         self._line, self._running_out = None, []
         self._target, self._accel = velocity, accel_mm_s2
 
@@ -214,7 +214,7 @@ class UrArm:
         self.aim(REST, accel_mm_s2)
 
     def step(self, dt_s: float, pace: float) -> None:
-        """One frame; ``pace`` is what the trajectory runs at, 1 is all."""
+        """Move for one frame; ``pace`` is the speed of the trajectory, 1 is full speed."""
         before = self.place.xyz_mm
         if self._line is not None:
             self._follow(self._line, dt_s * pace)
@@ -224,7 +224,7 @@ class UrArm:
             self._approach(self._target, dt_s)
 
     def stand(self) -> None:
-        """One frame in which it does not move, whatever drives it; one that brakes has come to rest."""
+        """Stand for one frame, whatever drives the arm; braking is complete."""
         self.velocity = REST
         if self._target == REST:
             self._target = None
@@ -268,50 +268,50 @@ def _between(a: Triple, b: Triple, share: float) -> Triple:
     return _plus(a, _scaled(_minus(b, a), share))
 
 
-# What a controller is at one moment.
+# The state of a controller at one moment.
 
 STOPPING, STOPPED, PLAYING, PAUSING, PAUSED, RESUMING = range(6)
 NORMAL, PROTECTIVE_STOP, ROBOT_EMERGENCY_STOP = 1, 3, 7
 POWER_OFF, RUNNING = 3, 7
 REGISTERS = 48
 BLOCK_REGISTER = 25
-"""Where polishd's scripts say which block is under way: the witness books by it."""
+"""Register in which polishd's scripts report the block under way: the event log books by it."""
 Rows = list[list[float]]
 
 
 @dataclass(slots=True)
 class UrWatchdog:
-    """``rtde_set_watchdog``: an input that must be written so often."""
+    """``rtde_set_watchdog``: an input that must be written at this rate."""
 
     longest_s: float
     action: str
-    heard_s: float
+    written_s: float
 
 
 @dataclass(slots=True)
 class Controls:
-    """Modes, registers, clock, arm and program: what its servers show, and what its scripts act on."""
+    """Modes, registers, clock, arm and program: shown by its servers, used by its scripts."""
 
     config: SimRobotSection
     arm: UrArm
     frame_s: float
     overhead_s: float
-    """What each motion and each wait costs beyond itself."""
+    """Extra time of each motion and each wait."""
     speed: float
-    """Seconds of the controller in one of the wall's."""
+    """Seconds of the controller in one wall second."""
     began_s: float
     """Wall time at which its clock was 0."""
     complain: Callable[[int, str], None] = lambda _line, _text: None
-    """Tells the clients of the primary interface: line, words."""
+    """Send to the clients of the primary interface: line, message."""
     time_s: float = 0.0
     runtime: int = STOPPED
     safety_mode: int = NORMAL
     robot_mode: int = RUNNING
     slider: float = 1.0
     pace: float = 1.0
-    """Of the trajectory: falls to 0 in a pause."""
+    """Speed of the trajectory: falls to 0 in a pause."""
     override: SpeedOverride = field(default_factory=SpeedOverride)
-    """Somebody has turned the slider, or the robot stands and does not report it: faults of the script."""
+    """Faults of the script: an operator's slider, or a standstill that the robot does not report."""
     remote: bool = True
     ints_in: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     ints_out: list[int] = field(default_factory=lambda: [0] * REGISTERS)
@@ -323,13 +323,13 @@ class Controls:
     """Those of them that move the arm."""
     watchdogs: dict[str, UrWatchdog] = field(default_factory=dict)
     rows: Rows = field(default_factory=list)
-    """Motion since they were last taken, see ``bus.ROW``."""
+    """Motion since the rows were last taken, see ``bus.ROW``."""
     shares: list[tuple[float, float]] = field(default_factory=list)
-    """(wall time, planned motion within a second of motion from then on) since they were last taken; ..."""
+    """(wall time, planned motion within a second of motion from then on) since the pairs were last taken; ..."""
     share: float = 1.0
-    """... and what it was then."""
-    said: list[str] = field(default_factory=list)
-    """``textmsg``."""
+    """... and the last value."""
+    messages: list[str] = field(default_factory=list)
+    """Text of ``textmsg``."""
     program: RunningScript | None = None
     stops: int = 0
-    """A script that was on its way in at one of them is forgotten."""
+    """Number of the stop. A script that is still being received when it changes is dropped."""

@@ -1,4 +1,4 @@
-"""The controller: modes, registers, the program that it runs and the arm. Pure of I/O; wall times are handed in."""
+"""The controller: modes, registers, the running program and the arm. Pure of I/O; the caller passes wall times."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from polishd.sim_backends.universal_robots.arm import (
 )
 from polishd.sim_backends.universal_robots.urscript import Frames, RunningScript, parsing
 
-# What a script may call: functions that take no time, and those that take frames.
+# The functions of a script: those that take no time, and those that take frames.
 
 
 @dataclass(slots=True)
 class Commands:
-    """Of one program, on one machine."""
+    """The functions of one program on one machine."""
 
     machine: Controls
     _owed_s: float = 0.0
 
     def quick(self) -> dict[str, Callable[..., Any]]:
-        """Those that take no time."""
+        """Return the functions that take no time."""
         return {
             "read_input_integer_register": self.machine.ints_in.__getitem__,
             "read_input_float_register": self.machine.doubles_in.__getitem__,
@@ -54,7 +54,7 @@ class Commands:
             "get_actual_tcp_pose": self.machine.arm.pose_m,
             "get_steptime": lambda: self.machine.frame_s,
             "pose_trans": _pose_trans,
-            "textmsg": lambda *words: self.machine.said.append("".join(map(str, words))),
+            "textmsg": lambda *values: self.machine.messages.append("".join(map(str, values))),
             "set_tcp": lambda *_: None,
             "set_payload": lambda *_: None,
             "set_digital_out": lambda *_: None,
@@ -62,7 +62,7 @@ class Commands:
         }
 
     def slow(self) -> dict[str, Callable[..., Frames]]:
-        """Those that take frames."""
+        """Return the functions that take frames."""
         return {
             "sync": self._sync,
             "sleep": self._sleep,
@@ -80,7 +80,7 @@ class Commands:
         yield
 
     def _sleep(self, seconds: float) -> Frames:
-        """The clock of a wait knows no slider."""
+        """The slider does not slow the clock of a wait."""
         with _Busy(self.machine, drives=False):
             yield from self._overhead()
             for _ in range(math.ceil(seconds / self.machine.frame_s - 1e-9)):
@@ -118,7 +118,7 @@ class Commands:
                 yield
 
     def _overhead(self) -> Frames:
-        """Whole frames; what is left of one is owed."""
+        """Return whole frames; carry the rest over."""
         self._owed_s += self.machine.overhead_s
         while self._owed_s >= self.machine.frame_s:
             self._owed_s -= self.machine.frame_s
@@ -127,7 +127,7 @@ class Commands:
 
 @dataclass(slots=True)
 class _Busy:
-    """Counts a statement that moves or waits, also where its thread is killed within."""
+    """Count a statement that moves or waits, also where its thread is killed within it."""
 
     machine: Controls
     drives: bool = True
@@ -147,29 +147,29 @@ class _Busy:
 
 
 def _pose_trans(first: list[float], second: list[float]) -> list[float]:
-    """The second pose, as seen from the first."""
+    """Return the second pose in the frame of the first."""
     turn = from_vector(first[3:])
     x, y, z = turned(turn, second[:3])
     return [first[0] + x, first[1] + y, first[2] + z, *to_vector(after(turn, from_vector(second[3:])))]
 
 
 RAMP_S = 0.1
-"""A pause takes the trajectory's pace from all to nothing in so much."""
+"""Time in which a pause reduces the trajectory's pace from full to zero."""
 LATE_S = 30.0
-"""A process that was kept from running catches up with so much at most."""
+"""A process that was delayed catches up with at most this time."""
 
 
 @dataclass(slots=True)
 class UrController(Controls):
-    """What happens, frame by frame, on the controller's own clock."""
+    """Events of the controller, frame by frame, on its own clock."""
 
     def load(self, text: str) -> None:
-        """A script came. What runs is stopped for it; while one is paused, it is only that which is stopped."""
+        """Take a script: it stops the running one; while one is paused, it only stops that one."""
         for _ in self.loading(text):
             pass
 
     def loading(self, text: str) -> Iterator[None]:
-        """The same, a few statements at a turn; whatever stops the robot meanwhile has the script forgotten."""
+        """Take a script, a few statements at a turn; a stop of the robot in the meantime drops the script."""
         if self.robot_mode != RUNNING or self.safety_mode != NORMAL or not self.remote:
             return
         paused = self.runtime in {PAUSING, PAUSED}
@@ -190,7 +190,7 @@ class UrController(Controls):
         self.runtime, self.watchdogs = PLAYING, {}
 
     def stop(self) -> bool:
-        """The program is over, and the arm brakes; whether one ran."""
+        """End the program and brake the arm; True if one ran."""
         self.stops += 1
         ran = self.runtime != STOPPED
         self.program, self.watchdogs, self.busy, self.driven_by = None, {}, 0, 0
@@ -200,19 +200,19 @@ class UrController(Controls):
         return ran
 
     def pause(self) -> bool:
-        """As the pendant's button does."""
+        """Pause, as the pendant's button does."""
         if self.runtime == PLAYING:
             self.runtime = PAUSING
         return self.runtime in {PAUSING, PAUSED}
 
     def play(self) -> bool:
-        """Go on after a pause; False where nothing is paused."""
+        """Continue after a pause; False where nothing is paused."""
         able = self.runtime == PAUSED and self.safety_mode == NORMAL
         self.runtime = RESUMING if able else self.runtime
         return able
 
     def protective_stop(self) -> None:
-        """It hit something, or was told to go where it cannot."""
+        """Enter a protective stop, after a collision or an unreachable command."""
         self.safety_mode = PROTECTIVE_STOP
         if self.program is not None:
             self.runtime = PAUSING
@@ -220,27 +220,27 @@ class UrController(Controls):
             self.arm.brake()
 
     def unlock(self) -> None:
-        """Out of a protective stop; the program stays paused."""
+        """Leave a protective stop; the program stays paused."""
         if self.safety_mode == PROTECTIVE_STOP:
             self.safety_mode = NORMAL
 
     def emergency_stop(self) -> None:
-        """The red button: power off, brakes on, the program is over."""
+        """Press the emergency stop: power off, brakes on, the program is over."""
         self.safety_mode, self.robot_mode = ROBOT_EMERGENCY_STOP, POWER_OFF
         self.stop()
 
     def power_off(self) -> None:
-        """At the pendant."""
+        """Act as the operator at the pendant."""
         self.robot_mode = POWER_OFF
         self.stop()
 
     def written(self, name: str) -> None:
-        """An input came over RTDE."""
+        """Take an input of RTDE."""
         if name in self.watchdogs:
-            self.watchdogs[name].heard_s = self.time_s
+            self.watchdogs[name].written_s = self.time_s
 
     def due(self, wall_s: float) -> range:
-        """A turn for each frame up to the present."""
+        """Run one turn for each frame up to the present."""
         behind_s = (wall_s - self.began_s) * self.speed - self.time_s
         if behind_s > LATE_S * self.speed:
             self.began_s += behind_s / self.speed - LATE_S
@@ -248,22 +248,22 @@ class UrController(Controls):
         return range(int(behind_s / self.frame_s))
 
     def wall_s(self) -> float:
-        """Wall time of its own clock."""
+        """Wall time of its clock."""
         return self.began_s + self.time_s / self.speed
 
     @property
     def active(self) -> bool:
-        """It moves, or a statement that moves or waits is under way."""
+        """True while it moves, or while a statement that moves or waits is under way."""
         return self.arm.moves or bool(self.busy and self.runtime == PLAYING)
 
     def frame(self) -> None:
-        """One period of its control."""
+        """Run one period of its control."""
         self._watch()
         self._ramp()
         if self.program is not None and self.runtime == PLAYING:
             self._run(self.program)
         if self.arm.driven and not self.driven_by:
-            self.arm.brake()  # whoever drove it was killed
+            self.arm.brake()  # the thread that drove it was killed
         speed = self.slider * self.override.actual(self.wall_s())
         share = 0.0 if self.override.stands else speed if self.arm.follows else 1.0
         if share != (self.shares[-1][1] if self.shares else self.share):
@@ -303,7 +303,7 @@ class UrController(Controls):
 
     def _watch(self) -> None:
         for name, dog in list(self.watchdogs.items()):
-            if self.runtime != PLAYING or self.time_s - dog.heard_s <= dog.longest_s:
+            if self.runtime != PLAYING or self.time_s - dog.written_s <= dog.longest_s:
                 continue
             if dog.action == "stop":
                 self.stop()

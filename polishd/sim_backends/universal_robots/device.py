@@ -1,4 +1,4 @@
-"""The controller's process: three servers, its clock, its operator's buttons, and reports to the plant."""
+"""The process of the controller: three servers, its clock, its operator's buttons, and reports to the plant."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from polishd.sim_backends.universal_robots.arm import (
 from polishd.sim_backends.universal_robots.controller import UrController
 from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
 
-# The dashboard server: a line in, a line out. Any number of clients is served at once, as a real one does.
+# The dashboard server: a line in, a line out. It serves any number of clients at once, as a real one does.
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 _SAFETY = {NORMAL: "NORMAL", PROTECTIVE_STOP: "PROTECTIVE_STOP"}
@@ -43,12 +43,12 @@ DASHBOARD_LINE_BYTES = 1000
 
 @dataclass(slots=True)
 class Dashboard:
-    """One connection. Those that stop or pause are answered when that is done."""
+    """One connection. Requests that stop or pause are answered when that is done."""
 
     machine: UrController
     send: Callable[[bytes], None]
     later: Callable[[Callable[[], bool], Callable[[], None]], None]
-    """Calls the second once the first is true."""
+    """Call the second function once the first returns true."""
     _rest: bytes = b""
 
     def feed(self, data: bytes) -> None:
@@ -58,41 +58,41 @@ class Dashboard:
         for line in lines:
             self._answer(line.decode("utf-8", "replace").strip())
 
-    def _say(self, text: str) -> None:
+    def _reply(self, text: str) -> None:
         self.send(text.encode() + b"\n")
 
-    def _answer(self, asked: str) -> None:
+    def _answer(self, request: str) -> None:
         machine = self.machine
-        if asked == "stop":
+        if request == "stop":
             machine.stop()
-            self.later(lambda: machine.runtime == STOPPED, lambda: self._say("Stopped"))
-        elif asked == "pause":
+            self.later(lambda: machine.runtime == STOPPED, lambda: self._reply("Stopped"))
+        elif request == "pause":
             paused = machine.pause()
             if paused:
-                self.later(lambda: machine.runtime != PAUSING, lambda: self._say("Pausing program"))
+                self.later(lambda: machine.runtime != PAUSING, lambda: self._reply("Pausing program"))
             else:
-                self._say("Failed to execute: pause")
+                self._reply("Failed to execute: pause")
         else:
-            self._say(self._order(asked) or self._state(asked) or f"could not understand: '{asked}'")
+            self._reply(self._order(request) or self._state(request) or f"could not understand: '{request}'")
 
-    def _order(self, asked: str) -> str:
+    def _order(self, request: str) -> str:
         machine = self.machine
-        if asked == "play":
+        if request == "play":
             return "Starting program" if machine.play() else "Failed to execute: play"
-        if asked == "power off":
+        if request == "power off":
             machine.power_off()
             return "Powering off"
-        if asked in {"power on", "brake release"}:
+        if request in {"power on", "brake release"}:
             machine.robot_mode = RUNNING if machine.safety_mode == NORMAL else POWER_OFF
-            return "Powering on" if asked == "power on" else "Brake releasing"
-        if asked == "unlock protective stop":
+            return "Powering on" if request == "power on" else "Brake releasing"
+        if request == "unlock protective stop":
             machine.unlock()
             return "Protective stop releasing"
-        verb, _, rest = asked.partition(" ")
-        said = {"popup": "showing popup", "close": "closing popup", "addToLog": "Added log message"}
-        return f"File not found: {rest}" if verb == "load" else said.get(verb, "")
+        verb, _, rest = request.partition(" ")
+        replies = {"popup": "showing popup", "close": "closing popup", "addToLog": "Added log message"}
+        return f"File not found: {rest}" if verb == "load" else replies.get(verb, "")
 
-    def _state(self, asked: str) -> str:
+    def _state(self, request: str) -> str:
         machine = self.machine
         modes = {RUNNING: "RUNNING", POWER_OFF: "POWER_OFF"}
         program = "STOPPED" if machine.program is None else "PAUSED" if machine.runtime == PAUSED else "PLAYING"
@@ -111,10 +111,10 @@ class Dashboard:
             "get serial number": "SIM-UR1",
             "quit": "Disconnected",
         }
-        return known.get(asked, "")
+        return known.get(request, "")
 
 
-# The primary client interface: scripts as text, one complaint a script, and a word on the state now and then.
+# The primary client interface: scripts as text, one error message for each script, and a state message at intervals.
 
 _DEPTH = re.compile(rb"^[ \t]*(?:def|thread|while|if|sec)\b.*:[ \t]*(?:#.*)?\r?$")
 _END = re.compile(rb"^[ \t]*end[ \t]*(?:#.*)?\r?$")
@@ -123,19 +123,19 @@ STATE = 16
 
 
 def message(kind: int, payload: bytes) -> bytes:
-    """A message."""
+    """Return a message."""
     return struct.pack(">iB", 5 + len(payload), kind) + payload
 
 
 def complaint(line: int, text: str) -> bytes:
-    """A runtime exception: where in the script, and what."""
+    """Return a runtime exception: line in the script, and text."""
     head = struct.pack(">QbBii", time.monotonic_ns() // 1000, -2, 10, line, 0)
     return message(20, head + text.encode())
 
 
 @dataclass(slots=True)
 class ScriptIntake:
-    """Collects lines until a ``def`` has its end; single lines are dropped, they are programs of their own."""
+    """Collect lines until a ``def`` has its end; single lines are dropped, they are separate programs."""
 
     run: Callable[[str], None]
     _rest: bytes = b""
@@ -143,7 +143,7 @@ class ScriptIntake:
     _lines: list[bytes] = field(default_factory=list)
 
     def feed(self, data: bytes) -> None:
-        """Hand over each whole script."""
+        """Return each whole script."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             self._take(line)
@@ -162,12 +162,12 @@ class ScriptIntake:
 TICK_S = 0.004
 STATE_S = 0.1
 READ_S = 0.005
-"""Of a turn, while a script is read."""
+"""Duration of a turn, while a script is read."""
 _BLOCKS = re.compile(rf"(?:polishd_at\(|write_output_integer_register\({BLOCK_REGISTER}, )(\d+)\)")
 
 
 class UniversalRobotServer:
-    """Everything that the process holds."""
+    """All state of the process."""
 
     def __init__(self, runtime: SimRuntime) -> None:
         start, config = runtime.start, runtime.start.config.robot
@@ -184,13 +184,13 @@ class UniversalRobotServer:
         self._primary: list[FaultyLink] = []
         self._waiting: list[tuple[Callable[[], bool], Callable[[], None]]] = []
         self._blocks = 0
-        """Of the script that was loaded last."""
+        """Of the last loaded script."""
         self._loading: Iterator[None] = iter(())
         self._moved = False
         self._seen = (self.machine.runtime, self.machine.safety_mode)
 
     async def run(self) -> None:
-        """Tick for ever."""
+        """Tick until cancelled."""
         next_state = 0.0
         while True:
             self.advance()
@@ -202,7 +202,7 @@ class UniversalRobotServer:
             await asyncio.sleep(TICK_S)
 
     def advance(self) -> None:
-        """Frames up to the present, a sample after each, and the plant's rows."""
+        """Run frames up to the present, with a sample after each, and send the plant's rows."""
         machine = self.machine
         for _ in machine.due(time.monotonic()):
             before_s = machine.time_s
@@ -218,7 +218,7 @@ class UniversalRobotServer:
                 self._waiting.append((condition, then))
 
     def rtde(self, outlet: FaultyLink) -> Feed:
-        """A client of RTDE."""
+        """Return the receiver of an RTDE client."""
         client = RtdeClient(self.machine, self._held, outlet.send, outlet.backlog)
         self._rtde.append(client)
 
@@ -230,23 +230,23 @@ class UniversalRobotServer:
         return self._now(client.feed)
 
     def dashboard(self, outlet: FaultyLink) -> Feed:
-        """A client of the dashboard."""
+        """Return the receiver of a dashboard client."""
         served = Dashboard(self.machine, outlet.send, lambda when, then: self._waiting.append((when, then)))
         return self._now(served.feed)
 
     def primary(self, outlet: FaultyLink) -> Feed:
-        """A client that sends scripts."""
+        """Return the receiver of a client that sends scripts."""
         self._primary.append(outlet)
         outlet.on_closed = lambda: self._primary.remove(outlet)
         return self._now(ScriptIntake(self.load).feed)
 
     def load(self, text: str) -> None:
-        """A script came: what runs is stopped at once, and it is read a part in each turn."""
+        """Take a script: stop the running one at once, and read the new one in parts."""
         self._loading = self._load(text)
         self._go_on_loading()
 
     def _go_on_loading(self) -> None:
-        """A turn's part. Its half a million objects stay for good: no collection is to look through them."""
+        """Read a part. Its half a million objects stay for good: no garbage collection shall search them."""
         until_s = time.monotonic() + READ_S
         for _ in self._loading:
             gc.freeze()
@@ -266,13 +266,13 @@ class UniversalRobotServer:
         )
 
     def complain(self, line: int, text: str) -> None:
-        """Tell who sent the script."""
+        """Report to the sender of the script."""
         self._runtime.link.event("complaint", line=line, text=text)
         for outlet in self._primary:
             outlet.send(complaint(line, text))
 
     def _now(self, feed: Feed) -> Feed:
-        """What comes acts from now on, and not on frames that this process was kept from."""
+        """Apply received data from now on, not to frames that this process missed."""
 
         def act(data: bytes) -> None:
             self.advance()
@@ -281,7 +281,7 @@ class UniversalRobotServer:
         return act
 
     def _report(self) -> None:
-        """Tell the plant what moved since the last time, and vouch for it."""
+        """Send the motion since the last call to the plant, and vouch for it."""
         machine, link, now = self.machine, self._runtime.link, time.monotonic()
         rows = np.array(machine.rows).reshape(-1, 9)
         machine.rows.clear()
@@ -289,7 +289,7 @@ class UniversalRobotServer:
             link.pace(share, at_s)
             machine.share = share
         machine.shares.clear()
-        rows[rows[:, 0] >= self._blocks, 0] = -1.0  # of a script that is none of polishd's
+        rows[rows[:, 0] >= self._blocks, 0] = -1.0  # of a script that is not from polishd
         moved = bool(len(rows)) or machine.active
         if moved and not self._moved:
             link.event("motion_started", float(rows[0, 1]) if len(rows) else now)
@@ -304,7 +304,7 @@ class UniversalRobotServer:
 
 
 async def main(runtime: SimRuntime) -> None:
-    """The device coroutine."""
+    """Run the device."""
     server, config = UniversalRobotServer(runtime), runtime.start.config.robot
     receivers = {"rtde": server.rtde, "dashboard": server.dashboard, "primary": server.primary}
     wires = [SimWire(runtime, receive, link) for link, receive in receivers.items()]

@@ -1,4 +1,4 @@
-"""RTDE, the controller's side: recipes, samples at the rate that each client asks for, inputs that one client holds."""
+"""RTDE, the controller's side: recipes, samples at the rate of each client, and inputs that one client holds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from polishd.sim_backends.universal_robots.arm import REGISTERS
 from polishd.sim_backends.universal_robots.controller import UrController
 
-# The fields of RTDE that this controller has, with their types; what it does not simulate is 0.
+# The fields of RTDE in this controller, with their types; those that it does not simulate are 0.
 
 FORMATS = {
     "BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d",
@@ -49,7 +49,7 @@ _JOINT_RUNNING = 253
 
 
 def value(machine: UrController, name: str) -> float | Sequence[float]:
-    """What an output says now."""
+    """Return the present value of an output."""
     head, _, number = name.rpartition("_")
     if head == "output_int_register":
         return machine.ints_out[int(number)]
@@ -86,7 +86,7 @@ def _vectors(machine: UrController, name: str) -> Sequence[float] | None:
 
 
 def write(machine: UrController, name: str, number: float, mask: float) -> None:
-    """An input was written; ``mask`` is the last one of the same package."""
+    """Take a written input; ``mask`` is the last one of the same package."""
     head, _, at = name.rpartition("_")
     if head == "input_int_register":
         machine.ints_in[int(at)] = int(number)
@@ -98,7 +98,7 @@ def write(machine: UrController, name: str, number: float, mask: float) -> None:
 
 
 def packed(machine: UrController, names: Sequence[str]) -> bytes:
-    """The values of these outputs."""
+    """Return the values of these outputs."""
     flat: list[float] = []
     for name in names:
         found = value(machine, name)
@@ -110,19 +110,19 @@ HEAD = struct.Struct(">HB")
 VERSION, CONTROLLER, TEXT, DATA, SET_OUTPUTS, SET_INPUTS, START, PAUSE = b"VvMUOISP"
 SOFTWARE = (5, 11, 0, 0)
 MOST_HZ = 1000.0
-"""Samples a second of the wall's clock, however fast its own runs."""
+"""Samples in one wall second, at any speed of the controller's clock."""
 BACKLOG = 1 << 17
-"""A client that reads no faster than that misses samples, as with the real one."""
+"""A client that reads more slowly misses samples, as with the real robot."""
 
 
 def pack(kind: int, payload: bytes = b"") -> bytes:
-    """A package."""
+    """Return a package."""
     return HEAD.pack(HEAD.size + len(payload), kind) + payload
 
 
 @dataclass(slots=True)
 class InputOwnership:
-    """Which client writes which inputs."""
+    """The client that writes each input."""
 
     by: dict[str, RtdeClient] = field(default_factory=dict)
 
@@ -153,11 +153,11 @@ class RtdeClient:
             self._take(kind, payload)
 
     def closed(self) -> None:
-        """The connection ended: its inputs are free, and keep their values."""
+        """End the connection: its inputs are free and keep their values."""
         self.held.by = {name: client for name, client in self.held.by.items() if client is not self}
 
     def tick(self, before_s: float) -> None:
-        """After a frame that began then: send a sample if one is due."""
+        """After a frame that began then, send a sample if one is due."""
         if not self.started or self.machine.time_s < self._next_s:
             return
         period_s = max(1.0 / self.rate_hz, self.machine.speed / MOST_HZ)
@@ -181,8 +181,8 @@ class RtdeClient:
             self._next_s = self.machine.time_s
             self.send(pack(kind, bytes([kind == PAUSE or self.started])))
         else:
-            said = b"unknown package"
-            self.send(pack(TEXT, bytes([len(said)]) + said + b"\4RTDE" + b"\2"))
+            text = b"unknown package"
+            self.send(pack(TEXT, bytes([len(text)]) + text + b"\4RTDE" + b"\2"))
 
     def _set_outputs(self, payload: bytes) -> None:
         names = _names(payload[8:])

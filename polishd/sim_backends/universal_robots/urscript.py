@@ -1,6 +1,6 @@
-"""A reader of URScript without arcs, force and lists of joints: statements as a tree, expressions as Python's.
+"""A reader of URScript without arcs, force and lists of joints: statements as a tree, expressions by Python's parser.
 
-URScript writes expressions as Python does; a pose ``p[...]`` reads there as an index into ``p``.
+URScript writes expressions as Python does; a pose ``p[...]`` is read as an index into ``p``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ALLOWED = (
 
 @dataclass(frozen=True, slots=True)
 class ScriptStatement:
-    """Where it stands: 1-based line."""
+    """Position: 1-based line."""
 
     line: int
 
@@ -84,17 +84,17 @@ class Routine(ScriptStatement):
     parameters: tuple[str, ...]
     body: list[ScriptStatement] = field(repr=False)
     calls: Mapping[str, int] = field(default_factory=dict, repr=False)
-    """Of the script: all that is called in it, and the line where it is first."""
+    """Of the script: all names that are called in it, with the first line of each."""
     routines: frozenset[str] = frozenset()
-    """Of the script: names of those that it defines."""
+    """Of the script: all names that it defines."""
 
 
 TURN = 20
-"""Statements that are read at a time."""
+"""Statements in one turn of reading."""
 
 
 def parse(text: str) -> Routine:
-    """The one program in a script. ProgramError with (words, line) where it cannot be read."""
+    """Read the only program in a script. ProgramError with (message, line) where it is invalid."""
     reading = parsing(text)
     while True:
         try:
@@ -105,7 +105,7 @@ def parse(text: str) -> Routine:
 
 
 def parsing(text: str) -> Generator[None, None, Routine]:
-    """The same, a few statements at a turn."""
+    """Read a program, a few statements at a turn."""
     lines: list[tuple[int, str]] = []
     for number, line in enumerate(text.splitlines(), start=1):
         if bare := _bare(line):
@@ -120,7 +120,7 @@ def parsing(text: str) -> Generator[None, None, Routine]:
 
 
 def _bare(line: str) -> str:
-    """Without comment and blanks."""
+    """Return the line without comment and blanks."""
     if "#" not in line:
         return line.strip()
     quoted = False
@@ -139,7 +139,7 @@ class _Reader:
     routines: set[str] = field(default_factory=set)
 
     def body(self, stops: tuple[str, ...]) -> Generator[None, None, list[ScriptStatement]]:
-        """Statements up to a line that begins with one of those words, which is left; without any: to the end."""
+        """Return the statements before a line that begins with one of those words; without any: to the end."""
         found: list[ScriptStatement] = []
         while self.at < len(self.lines):
             number, line = self.lines[self.at]
@@ -201,7 +201,7 @@ class _Reader:
         return found.body
 
 
-# What expressions of a script are worth.
+# Evaluation of a script's expressions.
 
 Quick = Callable[..., Any]
 """A function of the language that takes no time."""
@@ -215,13 +215,13 @@ _ONE: dict[type, Callable[[Any], Any]] = {ast.Not: operator.not_, ast.USub: oper
 
 @dataclass(slots=True)
 class ScriptScope:
-    """Names and their values; a routine sees those of the one that it stands in."""
+    """Names and their values; a routine sees those of the enclosing one."""
 
     outer: ScriptScope | None = None
     values: dict[str, Any] = field(default_factory=dict)
 
     def find(self, name: str) -> Any:
-        """A value."""
+        """Return a value."""
         scope: ScriptScope | None = self
         while scope is not None:
             if name in scope.values:
@@ -230,18 +230,18 @@ class ScriptScope:
         raise ProgramError(f"name '{name}' is not defined", 0)
 
     def everywhere(self) -> ScriptScope:
-        """The outermost."""
+        """Return the outermost scope."""
         return self if self.outer is None else self.outer.everywhere()
 
 
 @dataclass(slots=True)
 class Values:
-    """Works expressions out. ProgramError with (words, line) where one has no value."""
+    """Evaluate expressions. ProgramError with (message, line) where one has no value."""
 
     functions: dict[str, Quick]
 
     def of(self, node: Expression, scope: ScriptScope) -> Any:
-        """The value."""
+        """Return the value."""
         match node:
             case ast.Constant():
                 return node.value
@@ -256,7 +256,7 @@ class Values:
         return self._worked_out(node, scope)
 
     def arguments(self, call: ast.Call, scope: ScriptScope) -> tuple[str, list[Any], dict[str, Any]]:
-        """What is called, and with what."""
+        """Return the called name and the arguments."""
         name = call.func.id if isinstance(call.func, ast.Name) else ""
         named = {keyword.arg or "": self.of(keyword.value, scope) for keyword in call.keywords}
         return name, [self.of(argument, scope) for argument in call.args], named
@@ -295,26 +295,26 @@ def _pose(values: Sequence[float]) -> list[float]:
     return [float(value) for value in values]
 
 
-# A script under way: threads that run frame by frame, each a generator that yields when its frame is used up.
+# A running script: threads in frames, each a generator that yields when its frame is used up.
 
 Frames = Generator[None, None, None]
 """Yields at the end of each frame that it uses."""
 Slow = Callable[..., Frames]
-"""One that takes frames."""
+"""A function that takes frames."""
 ENDLESS = 10_000
-"""Turns of a loop within one frame: the controller gives up."""
+"""Turns of a loop within one frame after which the controller gives up."""
 
 
 @dataclass(slots=True)
 class Thread:
-    """One that runs."""
+    """A running thread."""
 
     frames: Frames
     over: bool = False
 
 
 class RunningScript:
-    """A script from its first frame to its last. ``quick`` and ``slow`` are the functions that it may call."""
+    """A script from its first frame to its last. ``quick`` and ``slow`` are its functions."""
 
     def __init__(self, routine: Routine, quick: dict[str, Quick], slow: dict[str, Slow]) -> None:
         self._values, self._slow = Values({**quick, "sqrt": math.sqrt, "norm": lambda part: math.hypot(*part)}), slow
@@ -323,17 +323,17 @@ class RunningScript:
             if name not in known:
                 raise ProgramError(f"Compile error: name '{name}' is not defined", line)
         self.line = routine.line
-        """Under way, for complaints."""
+        """Line under way, for error messages."""
         self._threads: list[Thread] = []
         self._main = self._begin(self._body(routine.body, ScriptScope()))
 
     @property
     def over(self) -> bool:
-        """Its main thread has come to its end: the others end with it."""
+        """True if its main thread has ended: the others end with it."""
         return self._main.over
 
     def frame(self) -> None:
-        """Run all threads until each has used up its frame. ProgramError with (words, line) for a runtime error."""
+        """Run all threads until each has used up its frame. ProgramError with (message, line) for a runtime error."""
         for thread in list(self._threads):
             if self._main.over:
                 return
@@ -401,7 +401,7 @@ class RunningScript:
 
 
 def _home(scope: ScriptScope, name: str) -> ScriptScope:
-    """Where an assignment without ``global`` goes: to the name that is known, else here."""
+    """Return the target of an assignment without ``global``: the scope that defines the name, else this one."""
     found: ScriptScope | None = scope
     while found is not None:
         if name in found.values:

@@ -15,20 +15,20 @@ from polishd.testing.helpers import failure_of, first, is_lost, seen, within
 
 ActuatorRig = Rig[ForceActuator]
 ROUNDED_N = 0.02
-"""A set point may be rounded so much on its way."""
+"""Tolerance of a rounded set point."""
 
 actuator = rig_fixture("actuator")
 
 
 @pytest_asyncio.fixture
 async def opened(actuator: ActuatorRig) -> ForceActuator:
-    """An open actuator."""
+    """Yield an open actuator."""
     await actuator.device.open()
     return actuator.device
 
 
 async def pressing(rig: ActuatorRig, force_n: float) -> ForceSample:
-    """The first sample in contact whose set point is that, and whose force is within the band."""
+    """Return the first sample in contact with that set point and a force within the band."""
 
     def reached(one: ForceSample) -> bool:
         near = abs(one.force_n - force_n) <= rig.scope.band * force_n + ROUNDED_N
@@ -38,21 +38,21 @@ async def pressing(rig: ActuatorRig, force_n: float) -> ForceSample:
 
 
 async def sampled(rig: ActuatorRig) -> ForceSample:
-    """The next sample."""
+    """Return the next sample."""
     return await first(rig.device.samples(), rig.soon_s)
 
 
 async def test_it_is_an_actuator(actuator: ActuatorRig) -> None:
-    """It has every member of ForceActuator, ``times`` among them, which is known before ``open``."""
+    """It has every member of ForceActuator; ``times`` is known before ``open``."""
     assert isinstance(actuator.device, ForceActuator)
     times = actuator.device.times
-    assert 0.0 < times.silence_s < times.watchdog_s, "an answer that is late must not look like a dead controller"
+    assert 0.0 < times.silence_s < times.watchdog_s, "a late answer must not look like a dead controller"
     assert min(times.landing_s, times.release_s, times.retract_s, times.stroke_mm) > 0.0
 
 
 @presses
 async def test_it_lands_and_regulates(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """``set_force`` from retracted lands, returns in contact, and samples come to that force, with their time."""
+    """``set_force`` from retracted lands, returns in contact, and samples reach that force, with their time."""
     began_s = time.monotonic()
     await opened.set_force(actuator.scope.force_n)
     assert (await sampled(actuator)).in_contact, "set_force returned before the tool was in contact"
@@ -63,8 +63,8 @@ async def test_it_lands_and_regulates(actuator: ActuatorRig, opened: ForceActuat
 
 
 @presses
-async def test_it_tells_how_far_the_tool_is_out(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """``position_mm`` is 0 at rest and grows outwards, in mm; or None throughout, where the device does not say."""
+async def test_it_reports_the_position_of_the_tool(actuator: ActuatorRig, opened: ForceActuator) -> None:
+    """``position_mm`` is 0 at rest and increases outward, in mm; always None if the device does not report it."""
     resting = await first(opened.samples(), actuator.soon_s, lambda one: one.retracted)
     await opened.set_force(min(0.8, actuator.scope.force_n))
     touching = await first(opened.samples(), actuator.soon_s, lambda one: one.in_contact)
@@ -86,7 +86,7 @@ async def test_it_changes_force_in_contact(actuator: ActuatorRig, opened: ForceA
 
 @presses
 async def test_no_force_stays_extended(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """``set_force(0)`` in contact takes the force off and leaves the tool where it is."""
+    """``set_force(0)`` in contact takes the force off and keeps the tool extended."""
     await opened.set_force(actuator.scope.force_n)
     await opened.set_force(0.0)
     sample = await first(opened.samples(), actuator.soon_s, lambda one: abs(one.force_n) < 0.1)
@@ -102,7 +102,7 @@ async def test_no_force_from_retracted_stays_retracted(actuator: ActuatorRig, op
 
 @presses
 async def test_retract_returns_when_it_is_off(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """``retract`` returns when the tool is off the part, by the device's word, and may be called again."""
+    """``retract`` returns when the tool is off the part, as the device reports, and may be called again."""
     await opened.set_force(actuator.scope.force_n)
     await opened.retract()
     assert await actuator.rests()
@@ -116,7 +116,7 @@ async def test_retract_returns_when_it_is_off(actuator: ActuatorRig, opened: For
 
 @presses
 async def test_make_safe_in_contact(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """In contact the status is not safe; ``make_safe`` takes the force off, retracts, and returns when it is so."""
+    """In contact the status is not safe; ``make_safe`` takes the force off, retracts, and returns when that is done."""
     await opened.set_force(actuator.scope.force_n)
     assert not (await opened.status()).safe
     await opened.make_safe()
@@ -135,10 +135,10 @@ async def test_make_safe_after_close_in_contact(actuator: ActuatorRig, opened: F
 @presses
 @pytest.mark.parametrize("force_n", [-1.0, 50.5, float("nan"), float("inf")])
 async def test_impossible_forces_are_refused(actuator: ActuatorRig, opened: ForceActuator, force_n: float) -> None:
-    """Less than 0, more than the device may, NaN and infinity raise DeviceRefused, and nothing is sent."""
+    """A force below 0, more than the device may exert, NaN and infinity raise DeviceRefused, and nothing is sent."""
     if 0.0 < force_n < math.inf:
         if actuator.scope.most_n is None:
-            pytest.skip("nobody says here what is too much")
+            pytest.skip("the scope gives no force limit")
         force_n = 1.01 * actuator.scope.most_n
     with pytest.raises(DeviceRefused):
         await opened.set_force(force_n)
@@ -146,7 +146,7 @@ async def test_impossible_forces_are_refused(actuator: ActuatorRig, opened: Forc
 
 
 async def test_samples_come_at_a_steady_rate(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """Samples come in order, at the driver's rate, each read after the one before it was taken."""
+    """Samples arrive in order, at the driver's rate, each read after the one before it was taken."""
     at = []
     async for sample in opened.samples():
         at.append(sample.at_s)
@@ -170,20 +170,20 @@ async def test_samples_feed_the_watchdog(actuator: ActuatorRig, opened: ForceAct
 
 
 @presses
-async def test_without_samples_it_retracts_by_itself(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """Nobody iterates samples: the device takes the force off and lifts by itself, says why, and refuses to press.
+async def test_without_samples_it_retracts(actuator: ActuatorRig, opened: ForceActuator) -> None:
+    """If samples are not iterated, the device takes the force off, lifts, says why, and refuses to press.
 
     ``make_safe`` clears that.
     """
     await opened.set_force(actuator.scope.force_n)
-    if actuator.safe is None:  # asking it could feed its watchdog
+    if actuator.safe is None:  # a request could feed its watchdog
         await asyncio.sleep(opened.times.alone_s)
         assert (await sampled(actuator)).force_n == pytest.approx(0.0, abs=0.1)
     else:
         await seen(actuator.rests, actuator.soon_s)
     status = await opened.status()
     assert not status.ready
-    assert status.detail, "a device that is not ready says why"
+    assert status.detail, "a device that is not ready reports why"
     with pytest.raises(DeviceRefused):
         await opened.set_force(actuator.scope.force_n)
     await opened.make_safe()
@@ -193,7 +193,7 @@ async def test_without_samples_it_retracts_by_itself(actuator: ActuatorRig, open
 
 @presses
 async def test_samples_go_on_beside_everything_else(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """Samples are iterated while other calls are under way, by several at once, and show what those do."""
+    """Several callers may iterate samples during other calls, and the samples show the effect of those calls."""
     lower_n, upper_n = 0.4 * actuator.scope.force_n, 0.75 * actuator.scope.force_n
     found: list[ForceSample] = []
 
@@ -215,7 +215,7 @@ async def test_samples_go_on_beside_everything_else(actuator: ActuatorRig, opene
 
 @presses
 async def test_retracting_wins_over_landing(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """``retract`` while ``set_force`` lands overtakes it: the tool ends up, and set_force raises DeviceRefused."""
+    """``retract`` while ``set_force`` lands overtakes it: the tool is up, and ``set_force`` raises DeviceRefused."""
     async with asyncio.TaskGroup() as group:
         landing = group.create_task(failure_of(opened.set_force(actuator.scope.force_n)))
         await first(opened.samples(), actuator.soon_s, lambda one: not one.retracted)
@@ -238,8 +238,8 @@ async def test_samples_end_with_a_cut_link(actuator: ActuatorRig, opened: ForceA
 
 @presses
 @cuts
-async def test_a_link_lost_in_contact_is_not_taken_up_again(actuator: ActuatorRig, opened: ForceActuator) -> None:
-    """A link that was lost in contact stays lost until ``open``; only ``retract`` and ``make_safe`` try it again."""
+async def test_a_link_lost_in_contact_is_not_reopened(actuator: ActuatorRig, opened: ForceActuator) -> None:
+    """A link that was lost in contact stays lost until ``open``; only ``retract`` and ``make_safe`` reconnect."""
     await opened.set_force(actuator.scope.force_n)
     actuator.unplug()
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""A cell as a whole: one cycle of its own job."""
+"""Suite of a whole cell: one cycle of its job."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from polishd.testing.pytest_plugin import BENCH
 
 @pytest.fixture
 def cell(request: pytest.FixtureRequest) -> HilBench:
-    """The cell that ``--cell`` names."""
+    """Return the cell of ``--cell``."""
     found: HilBench = request.config.stash[BENCH]
     return found
 
 
 @pytest.mark.polishd_cycles
 async def test_a_cycle_of_the_cells_job(cell: HilBench) -> None:
-    """The cell's daemon runs one cycle of its job, from the map to the report, and comes to its end."""
+    """The cell's daemon runs one cycle of its job, from the map to the report, and ends."""
     ended: Any
     (ended,) = await run_cells([CellRun(cell.config, cell.hooks)], holds=False)
     if isinstance(ended, Exception):

@@ -1,4 +1,4 @@
-"""What all devices have in common, whatever the port, the driver and the link."""
+"""Suite of all devices, independent of port, driver and link."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ AnyRig = Rig[Any]
 any_device = rig_fixture("any_device")
 
 
-async def test_it_says_who_it_is(any_device: AnyRig) -> None:
-    """Open, it says its vendor, model, serial number and firmware, and the same again."""
+async def test_it_identifies_itself(any_device: AnyRig) -> None:
+    """An open device reports its vendor, model, serial number and firmware, each time the same."""
     device = any_device.device
     assert isinstance(device, Device)
     await device.open()
@@ -31,15 +31,15 @@ async def test_it_says_who_it_is(any_device: AnyRig) -> None:
     assert identity == await device.identify()
 
 
-async def test_it_has_all_that_its_port_asks(any_device: AnyRig) -> None:
-    """It has every member of its port, each as a coroutine function, an async generator or a property, as there."""
+async def test_it_has_all_members_of_its_port(any_device: AnyRig) -> None:
+    """It has every member of its port, each of the same kind: coroutine function, async generator or property."""
     ports = [port.protocol for port in PORTS.values() if isinstance(any_device.device, port.protocol)]
     assert len(ports) == 1, f"it has the members of {len(ports)} ports, not of one"
     assert missing_members(any_device.device, ports[0]) == []
 
 
 async def test_opening_changes_nothing(any_device: AnyRig) -> None:
-    """Opening moves nothing and exerts nothing: a device that was at rest is ready, safe and has a state."""
+    """Opening causes no motion and no force: a device that was at rest is ready, safe and has a state."""
     await any_device.device.open()
     status = await any_device.device.status()
     assert status.ready
@@ -49,7 +49,7 @@ async def test_opening_changes_nothing(any_device: AnyRig) -> None:
 
 
 async def test_nothing_works_before_it_is_open(any_device: AnyRig) -> None:
-    """Before ``open`` status and identify raise LinkError."""
+    """Before ``open``, ``status`` and ``identify`` raise LinkError."""
     with pytest.raises(LinkError):
         await any_device.device.status()
     with pytest.raises(LinkError):
@@ -57,7 +57,7 @@ async def test_nothing_works_before_it_is_open(any_device: AnyRig) -> None:
 
 
 async def test_nothing_works_after_it_is_closed(any_device: AnyRig) -> None:
-    """``close`` may be called twice; after it status raises LinkError."""
+    """``close`` may be called twice; after it ``status`` raises LinkError."""
     await any_device.device.open()
     await any_device.device.close()
     await any_device.device.close()
@@ -66,7 +66,7 @@ async def test_nothing_works_after_it_is_closed(any_device: AnyRig) -> None:
 
 
 async def test_it_can_be_opened_again(any_device: AnyRig) -> None:
-    """``open`` on an open device connects anew, and so it does after ``close``."""
+    """``open`` reconnects an open device, and connects again after ``close``."""
     for _ in range(3):
         await any_device.device.open()
         assert (await any_device.device.status()).ready
@@ -76,7 +76,7 @@ async def test_it_can_be_opened_again(any_device: AnyRig) -> None:
 
 
 async def test_make_safe_is_allowed_at_any_time(any_device: AnyRig) -> None:
-    """``make_safe`` works before ``open``, open, twice, and after ``close``: it connects by itself where it must."""
+    """``make_safe`` works before ``open``, while open, twice, and after ``close``: it connects if necessary."""
     device = any_device.device
     await device.make_safe()
     await device.open()
@@ -96,7 +96,7 @@ async def test_make_safe_does_not_leave_it_open(any_device: AnyRig) -> None:
 
 
 async def test_making_safe_by_many_at_once(any_device: AnyRig) -> None:
-    """Several may call ``make_safe`` at the same time; all return, and it is safe."""
+    """Several callers may call ``make_safe`` at the same time; all return, and the device is safe."""
     await any_device.device.open()
     await asyncio.gather(*(any_device.device.make_safe() for _ in range(4)))
     assert await any_device.rests()
@@ -104,7 +104,7 @@ async def test_making_safe_by_many_at_once(any_device: AnyRig) -> None:
 
 @cuts
 async def test_a_cut_link_is_known_at_once(any_device: AnyRig) -> None:
-    """A cut link raises LinkError from ``status``, within ``times.silence_s``; it is not opened again in secret."""
+    """A cut link raises LinkError from ``status``, within ``times.silence_s``; the driver does not reopen it."""
     await any_device.device.open()
     any_device.unplug()
     with within(any_device.prompt_s), pytest.raises(LinkError):
@@ -113,7 +113,7 @@ async def test_a_cut_link_is_known_at_once(any_device: AnyRig) -> None:
 
 @mutes
 async def test_a_silent_link_is_known_at_once(any_device: AnyRig) -> None:
-    """A link on which nothing comes any more raises LinkError from ``status``, within ``times.silence_s``."""
+    """A silent link raises LinkError from ``status``, within ``times.silence_s``."""
     await any_device.device.open()
     any_device.silence()
     with within(any_device.prompt_s), pytest.raises(LinkError):
@@ -121,8 +121,8 @@ async def test_a_silent_link_is_known_at_once(any_device: AnyRig) -> None:
 
 
 @cuts
-async def test_make_safe_on_a_cut_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
-    """``make_safe`` that reaches nobody raises LinkError, in bounded time: it never says yes without proof."""
+async def test_make_safe_on_a_cut_link_fails_in_bounded_time(any_device: AnyRig) -> None:
+    """``make_safe`` without a connection raises LinkError in bounded time: it never returns without confirmation."""
     await any_device.device.open()
     any_device.unplug()
     with within(any_device.bound_s), pytest.raises(LinkError):
@@ -130,8 +130,8 @@ async def test_make_safe_on_a_cut_link_says_so_in_bounded_time(any_device: AnyRi
 
 
 @mutes
-async def test_make_safe_on_a_silent_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
-    """``make_safe`` that gets no answer raises LinkError, in bounded time: it never says yes without proof."""
+async def test_make_safe_on_a_silent_link_fails_in_bounded_time(any_device: AnyRig) -> None:
+    """``make_safe`` without an answer raises LinkError in bounded time: it never returns without confirmation."""
     await any_device.device.open()
     any_device.silence()
     with within(any_device.bound_s), pytest.raises(LinkError):
@@ -139,8 +139,8 @@ async def test_make_safe_on_a_silent_link_says_so_in_bounded_time(any_device: An
 
 
 @cuts
-async def test_opening_a_dead_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
-    """``open`` raises LinkError where nobody answers, in bounded time; so does ``make_safe``."""
+async def test_opening_a_dead_link_fails_in_bounded_time(any_device: AnyRig) -> None:
+    """``open`` of a dead link raises LinkError in bounded time; so does ``make_safe``."""
     any_device.unplug()
     with within(any_device.bound_s), pytest.raises(LinkError):
         await any_device.device.open()
@@ -149,15 +149,15 @@ async def test_opening_a_dead_link_says_so_in_bounded_time(any_device: AnyRig) -
 
 
 @mutes
-async def test_opening_a_silent_link_says_so_in_bounded_time(any_device: AnyRig) -> None:
-    """``open`` asks the device something, and raises LinkError in bounded time where no answer comes."""
+async def test_opening_a_silent_link_fails_in_bounded_time(any_device: AnyRig) -> None:
+    """``open`` sends a request, and raises LinkError in bounded time without an answer."""
     any_device.silence()
     with within(any_device.bound_s), pytest.raises(LinkError):
         await any_device.device.open()
 
 
 async def test_a_cancelled_call_harms_no_later_one(any_device: AnyRig) -> None:
-    """A call that is cancelled leaves its answer to nobody: the next call gets its own, not that of the last."""
+    """The answer to a cancelled call is dropped: the next call gets its own answer."""
     device = any_device.device
     await device.open()
     for _ in range(5):

@@ -18,27 +18,27 @@ loader = rig_fixture("loader")
 
 @pytest_asyncio.fixture
 async def opened(loader: LoaderRig) -> PartLoader:
-    """An open loader."""
+    """Yield an open loader."""
     await loader.device.open()
     return loader.device
 
 
 async def moving(rig: LoaderRig) -> None:
-    """Returns while it moves; TimeoutError where its status says for too long that it is safe."""
+    """Wait until the loader moves; TimeoutError if its status stays safe for too long."""
     async with asyncio.timeout(rig.soon_s):
-        while (await rig.device.status()).safe:  # noqa: ASYNC110 -- the machine tells nobody
+        while (await rig.device.status()).safe:  # noqa: ASYNC110 -- the machine sends no event
             await asyncio.sleep(0)
 
 
 async def test_it_is_a_loader(loader: LoaderRig) -> None:
-    """It has every member of Loader, ``times`` among them, which is known before ``open``."""
+    """It has every member of PartLoader; ``times`` is known before ``open``."""
     assert isinstance(loader.device, PartLoader)
     assert min(loader.device.times.silence_s, loader.device.times.change_s, loader.device.times.stop_s) > 0.0
 
 
 @moves
 async def test_parts_are_changed(loader: LoaderRig, opened: PartLoader) -> None:
-    """``load`` and ``unload`` return when the loader is clear of the cell; ``loaded`` is its own word on the seat."""
+    """``load`` and ``unload`` return when the loader is clear of the cell; ``loaded`` returns the part on the seat."""
     assert await opened.loaded() is None
     for part in loader.scope.parts:
         await opened.load(part)
@@ -65,8 +65,8 @@ async def test_a_part_that_is_there_stays(loader: LoaderRig, opened: PartLoader)
 
 
 @moves
-async def test_a_part_that_it_has_not_is_the_wrong_part(loader: LoaderRig, opened: PartLoader) -> None:
-    """``load`` of a part that it has not raises WrongPart, which names the part; the seat stays empty."""
+async def test_a_missing_part_is_the_wrong_part(loader: LoaderRig, opened: PartLoader) -> None:
+    """``load`` of a missing part raises WrongPart, which names the part; the seat stays empty."""
     with pytest.raises(WrongPart) as wrong:
         await opened.load(loader.scope.no_part)
     assert loader.scope.no_part in str(wrong.value)
@@ -75,7 +75,7 @@ async def test_a_part_that_it_has_not_is_the_wrong_part(loader: LoaderRig, opene
 
 @moves
 async def test_two_parts_never_come_onto_one_seat(loader: LoaderRig, opened: PartLoader) -> None:
-    """``load`` while another part is on the seat raises DeviceRefused, and that one stays."""
+    """``load`` while another part is on the seat raises DeviceRefused, and that part stays."""
     part, other = loader.scope.parts
     await opened.load(part)
     with pytest.raises(DeviceRefused):
@@ -85,7 +85,7 @@ async def test_two_parts_never_come_onto_one_seat(loader: LoaderRig, opened: Par
 
 @moves
 async def test_it_is_not_safe_while_it_moves(loader: LoaderRig, opened: PartLoader) -> None:
-    """While it moves its status, asked beside, is not safe; afterwards it is."""
+    """During a change a concurrent ``status`` is not safe; afterwards it is."""
     async with asyncio.TaskGroup() as group:
         loading = group.create_task(opened.load(loader.scope.parts[0]))
         await moving(loader)
@@ -94,8 +94,8 @@ async def test_it_is_not_safe_while_it_moves(loader: LoaderRig, opened: PartLoad
 
 
 @moves
-async def test_make_safe_stops_it_and_it_goes_on_from_there(loader: LoaderRig, opened: PartLoader) -> None:
-    """``make_safe`` stops it where it is, and the call under way raises DeviceRefused; ``load`` goes on from there."""
+async def test_make_safe_stops_it_and_load_continues(loader: LoaderRig, opened: PartLoader) -> None:
+    """``make_safe`` stops it, and the call under way raises DeviceRefused; ``load`` continues from there."""
     part = loader.scope.parts[0]
     async with asyncio.TaskGroup() as group:
         loading = group.create_task(failure_of(opened.load(part)))
@@ -111,7 +111,7 @@ async def test_make_safe_stops_it_and_it_goes_on_from_there(loader: LoaderRig, o
 @moves
 @mutes
 async def test_a_change_ends_with_a_silent_link(loader: LoaderRig, opened: PartLoader) -> None:
-    """A change on a link that falls silent raises LinkError, within ``times.silence_s``."""
+    """A change raises LinkError within ``times.silence_s`` after the link falls silent."""
     async with asyncio.TaskGroup() as group:
         loading = group.create_task(failure_of(opened.load(loader.scope.parts[0])))
         await moving(loader)

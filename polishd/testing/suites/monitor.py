@@ -19,13 +19,13 @@ monitor = rig_fixture("monitor")
 
 @pytest_asyncio.fixture
 async def opened(monitor: MonitorRig) -> Monitor:
-    """An open one."""
+    """Yield an open monitor."""
     await monitor.device.open()
     return monitor.device
 
 
 async def rounds(device: Monitor, count: int) -> dict[str, list[Signal]]:
-    """All signals so often, by name."""
+    """Return ``count`` values of each signal, by name."""
     found: dict[str, list[Signal]] = {}
     async with asyncio.timeout(SOON_S), aclosing(device.signals()) as signals:  # type: ignore[type-var]
         async for one in signals:
@@ -36,13 +36,13 @@ async def rounds(device: Monitor, count: int) -> dict[str, list[Signal]]:
 
 
 async def test_it_is_a_monitor(monitor: MonitorRig) -> None:
-    """It has every member of Monitor, ``times`` among them, which is known before ``open``."""
+    """It has every member of Monitor; ``times`` is known before ``open``."""
     assert isinstance(monitor.device, Monitor)
     assert monitor.device.times.silence_s > 0
 
 
 async def test_all_signals_come_in_turn_with_their_values(opened: Monitor) -> None:
-    """``signals`` gives all of its signals in turn, again and again, each with a number or a state, and a time."""
+    """``signals`` yields all of its signals in turn, repeatedly, each with a number or a state, and a time."""
     found = await rounds(opened, 3)
     assert {len(signals) for signals in found.values()} == {3}
     kinds = {type(one.value) for signals in found.values() for one in signals}
@@ -51,8 +51,8 @@ async def test_all_signals_come_in_turn_with_their_values(opened: Monitor) -> No
     assert [name for _, name in times] == list(found) * 3
 
 
-async def test_it_may_be_asked_for_its_state_while_it_is_read(opened: Monitor) -> None:
-    """``status`` is answered while it is read."""
+async def test_status_works_while_signals_are_read(opened: Monitor) -> None:
+    """``status`` works while signals are read."""
     async with asyncio.TaskGroup() as group:
         signals = group.create_task(rounds(opened, 3))
         status = await opened.status()
@@ -71,7 +71,7 @@ async def test_signals_end_with_a_silent_link(monitor: MonitorRig, opened: Monit
 
 @cuts
 async def test_signals_end_with_a_cut_link(monitor: MonitorRig, opened: Monitor) -> None:
-    """``signals`` raises LinkError where the link is cut."""
+    """``signals`` raises LinkError if the link is cut."""
     await rounds(opened, 1)
     monitor.unplug()
     with within(monitor.prompt_s), pytest.raises(LinkError):

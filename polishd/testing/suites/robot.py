@@ -19,19 +19,19 @@ robot = rig_fixture("robot")
 
 @pytest_asyncio.fixture
 async def opened(robot: RobotRig) -> Robot:
-    """An open robot."""
+    """Yield an open robot."""
     await robot.device.open()
     return robot.device
 
 
 def planned(rig: RobotRig, blocks: int) -> Plan:
-    """A program of so many blocks. The robot may have to stop at 50: the plan says so, or LinuxCNC could not."""
-    block = rig.scope.block or pytest.skip("nothing says where the robot may move")
+    """Return a plan of so many blocks, with a stop at 50 for robots that stop only at planned stops (LinuxCNC)."""
+    block = rig.scope.block or pytest.skip("the scope gives no motion for the robot")
     return plan_of([block(at) for at in range(blocks)], approach_blocks=min(50, blocks))
 
 
 async def loaded(rig: RobotRig, blocks: int) -> Plan:
-    """Give the robot a program, or the first 60 blocks."""
+    """Send the robot a program, or its first 60 blocks."""
     plan = planned(rig, blocks)
     await rig.device.prepare(plan)
     await rig.device.send(plan.segments[:60])
@@ -39,12 +39,12 @@ async def loaded(rig: RobotRig, blocks: int) -> Plan:
 
 
 async def collected(robot: Robot, from_seq: int = 0) -> list[ExecutedBlock]:
-    """All that is executed, to the end."""
+    """Return all executed blocks, to the end."""
     return [one async for one in robot.executed(from_seq)]
 
 
 async def first_blocks(rig: RobotRig, count: int) -> list[ExecutedBlock]:
-    """So many, as soon as they are executed."""
+    """Return the first blocks as soon as they are executed."""
     found = []
     async with asyncio.timeout(rig.soon_s):
         async for one in rig.device.executed():
@@ -55,7 +55,7 @@ async def first_blocks(rig: RobotRig, count: int) -> list[ExecutedBlock]:
 
 
 async def collected_so_far(robot: Robot) -> list[ExecutedBlock]:
-    """What is executed within a moment."""
+    """Return the blocks that are executed within a short time."""
     found = []
     try:
         async with asyncio.timeout(0.15):
@@ -67,12 +67,12 @@ async def collected_so_far(robot: Robot) -> list[ExecutedBlock]:
 
 
 async def test_it_is_a_robot(robot: RobotRig) -> None:
-    """It has every member of Robot, ``times`` among them, which is known before ``open``."""
+    """It has every member of Robot; ``times`` is known before ``open``."""
     assert isinstance(robot.device, Robot)
 
 
-async def test_it_says_how_long_it_takes(robot: RobotRig) -> None:
-    """``times`` is known before ``open``; the robot's own watchdog is longer than the silence, or 0: it has none."""
+async def test_its_times_are_consistent(robot: RobotRig) -> None:
+    """``times`` is known before ``open``; the robot's watchdog is longer than the silence, or 0 if it has none."""
     times = robot.device.times
     assert 0.0 < times.silence_s < times.watchdog_s or times.watchdog_s == 0.0
     assert times.stop_s > 0.0
@@ -91,7 +91,7 @@ async def test_a_prepared_robot_stands_and_knows_its_program(robot: RobotRig, op
 
 @moves
 async def test_accepted_is_not_executed(robot: RobotRig, opened: Robot) -> None:
-    """``send`` returns when blocks are accepted; they are counted so, none is executed, and the robot stands."""
+    """``send`` returns when blocks are accepted: they count as accepted, none is executed, the robot stands still."""
     await loaded(robot, 40)
     progress = await opened.progress()
     assert (progress.accepted, progress.executed, progress.state) == (40, 0, "held")
@@ -100,12 +100,12 @@ async def test_accepted_is_not_executed(robot: RobotRig, opened: Robot) -> None:
 
 @moves
 async def test_all_is_executed_in_order_and_once(robot: RobotRig, opened: Robot) -> None:
-    """``executed`` tells each block once, in order, as it is executed, with times that do not overlap; then done."""
+    """``executed`` yields each block once, in order, with times that do not overlap; then the state is done."""
     plan = await loaded(robot, 150)
     await opened.resume()
 
     async def stream() -> None:
-        for at in range(40, 150, 20):  # the first of them again: that is no error
+        for at in range(40, 150, 20):  # repeated blocks are no error
             await opened.send(plan.segments[at : at + 20])
 
     async with asyncio.TaskGroup() as group:
@@ -119,8 +119,8 @@ async def test_all_is_executed_in_order_and_once(robot: RobotRig, opened: Robot)
 
 
 @moves
-async def test_executed_can_be_followed_by_many_from_anywhere(robot: RobotRig, opened: Robot) -> None:
-    """``executed(from_seq)`` may be iterated by several, also after the fact, and gives each the same records."""
+async def test_executed_can_be_iterated_by_many_from_any_block(robot: RobotRig, opened: Robot) -> None:
+    """``executed(from_seq)`` may be iterated by several callers, also later, and yields the same records to each."""
     await loaded(robot, 40)
     await opened.resume()
     whole, rest = await asyncio.gather(collected(opened), collected(opened, 25))
@@ -129,8 +129,8 @@ async def test_executed_can_be_followed_by_many_from_anywhere(robot: RobotRig, o
 
 
 @moves
-async def test_it_stops_where_it_is_told(robot: RobotRig, opened: Robot) -> None:
-    """``resume(until=n)`` comes to a stop after block n - 1; ``resume`` goes on from there."""
+async def test_it_stops_at_the_given_block(robot: RobotRig, opened: Robot) -> None:
+    """``resume(until=n)`` stops after block n - 1; ``resume`` continues from there."""
     await loaded(robot, 40)
     await opened.resume(until=10)
     executed = await first_blocks(robot, 10)
@@ -145,7 +145,7 @@ async def test_it_stops_where_it_is_told(robot: RobotRig, opened: Robot) -> None
 
 @moves
 async def test_hold_returns_when_it_stands(robot: RobotRig, opened: Robot) -> None:
-    """``hold`` returns when the robot stands, and may be called again; what was sent stays, and is gone on with."""
+    """``hold`` returns at standstill, and may be called again; the blocks stay, and ``resume`` continues with them."""
     plan = await loaded(robot, 60)
     await opened.resume()
     await first_blocks(robot, 3)
@@ -162,10 +162,10 @@ async def test_hold_returns_when_it_stands(robot: RobotRig, opened: Robot) -> No
 
 
 @moves
-async def test_it_lifts_and_the_program_is_over_or_it_refuses_and_goes_on(robot: RobotRig, opened: Robot) -> None:
-    """``lift`` returns when the robot stands off the path, and ends the program; or it raises DeviceRefused at once.
+async def test_it_lifts_and_ends_the_program_or_refuses_and_continues(robot: RobotRig, opened: Robot) -> None:
+    """``lift`` returns at standstill off the path, and ends the program; or it raises DeviceRefused at once.
 
-    It is the way out where the actuator does not lift: a machine that would have to stop first refuses, and goes on.
+    It is used if the actuator does not lift. A machine that would have to stop first refuses, and continues.
     """
     await loaded(robot, 60)
     await opened.resume()
@@ -185,7 +185,7 @@ async def test_it_lifts_and_the_program_is_over_or_it_refuses_and_goes_on(robot:
 
 @moves
 async def test_make_safe_stops_a_running_robot(robot: RobotRig, opened: Robot) -> None:
-    """``make_safe`` returns when the robot stands."""
+    """``make_safe`` returns when the robot stands still."""
     await loaded(robot, 40)
     await opened.resume()
     await opened.make_safe()
@@ -194,7 +194,7 @@ async def test_make_safe_stops_a_running_robot(robot: RobotRig, opened: Robot) -
 
 @moves
 async def test_make_safe_stops_a_running_robot_after_close(robot: RobotRig, opened: Robot) -> None:
-    """``make_safe`` on a closed device whose robot runs connects, and stops it."""
+    """``make_safe`` on a closed device whose robot runs connects and stops it."""
     await loaded(robot, 40)
     await opened.resume(until=39)
     await opened.close()
@@ -204,20 +204,20 @@ async def test_make_safe_stops_a_running_robot_after_close(robot: RobotRig, open
 
 @fresh
 @moves
-async def test_buffer_tells_what_is_ahead(robot: RobotRig, opened: Robot) -> None:
+async def test_buffer_is_the_motion_ahead(robot: RobotRig, opened: Robot) -> None:
     """``buffer_s`` is 0 without a program, and the wall seconds of motion ahead of the tool with one."""
     assert opened.buffer_s == 0.0
     await loaded(robot, 40)
 
-    async def told() -> bool:
+    async def is_reported() -> bool:
         return opened.buffer_s > 0.0
 
-    await seen(told, robot.soon_s)
+    await seen(is_reported, robot.soon_s)
 
 
 @moves
 async def test_a_program_cannot_be_changed_while_it_runs(robot: RobotRig, opened: Robot) -> None:
-    """``prepare`` while the robot runs raises DeviceRefused: it is held first."""
+    """``prepare`` while the robot runs raises DeviceRefused: hold it first."""
     await loaded(robot, 40)
     await opened.resume()
     with pytest.raises(DeviceRefused, match="run"):
@@ -226,7 +226,7 @@ async def test_a_program_cannot_be_changed_while_it_runs(robot: RobotRig, opened
 
 @moves
 async def test_a_new_program_replaces_the_old(robot: RobotRig, opened: Robot) -> None:
-    """``prepare`` drops the program before; the new one's blocks are counted from 0."""
+    """``prepare`` drops the old program; the new one's blocks count from 0."""
     await loaded(robot, 30)
     await opened.resume()
     assert len(await collected(opened)) == 30
@@ -248,9 +248,9 @@ async def test_nothing_runs_without_a_program(opened: Robot) -> None:
 
 @moves
 async def test_blocks_out_of_turn_are_refused(robot: RobotRig, opened: Robot) -> None:
-    """Blocks come in order, without gaps, each a single line; else ``send`` raises DeviceRefused and says what it got.
+    """``send`` raises DeviceRefused, with the block, for blocks out of order, gaps, and blocks of several lines.
 
-    A block that was accepted and is sent again is no error.
+    Sending an accepted block again is no error.
     """
     plan = planned(robot, 5)
     await opened.prepare(plan)
@@ -264,7 +264,7 @@ async def test_blocks_out_of_turn_are_refused(robot: RobotRig, opened: Robot) ->
 
 @moves
 async def test_a_bad_block_is_refused_when_it_arrives(robot: RobotRig, opened: Robot) -> None:
-    """A block that the robot cannot read is refused by ``send``, with DeviceRefused, and the robot stands."""
+    """``send`` raises DeviceRefused for a block that the robot cannot read, and the robot stands still."""
     good = planned(robot, 1).segments[0].text
     plan = plan_of([good, robot.scope.bad_block, good])
     await opened.prepare(plan)
@@ -275,11 +275,11 @@ async def test_a_bad_block_is_refused_when_it_arrives(robot: RobotRig, opened: R
 
 @moves
 @cuts
-async def test_everybody_who_waits_hears_of_a_cut_link(robot: RobotRig, opened: Robot) -> None:
-    """A cut link raises LinkError from ``executed`` and from ``send``, whoever waits in them; ``buffer_s`` is 0."""
+async def test_all_waiting_calls_end_with_a_cut_link(robot: RobotRig, opened: Robot) -> None:
+    """A cut link raises LinkError in all waiting ``executed`` and ``send`` calls; ``buffer_s`` is 0."""
     plan = await loaded(robot, 200)
     rest = plan.segments[60:]
-    if robot.whole_file:  # nobody waits for credit
+    if robot.whole_file:  # send does not wait for credit
         await opened.send(rest)
         rest = ()
     async with asyncio.TaskGroup() as group:

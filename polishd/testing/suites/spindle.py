@@ -20,25 +20,25 @@ spindle = rig_fixture("spindle")
 
 @pytest_asyncio.fixture
 async def opened(spindle: SpindleRig) -> Spindle:
-    """An open spindle."""
+    """Yield an open spindle."""
     await spindle.device.open()
     return spindle.device
 
 
 async def turning(rig: SpindleRig) -> SpeedSample:
-    """The next sample."""
+    """Return the next sample."""
     return await first(rig.device.samples(), rig.soon_s)
 
 
 async def test_it_is_a_spindle(spindle: SpindleRig) -> None:
-    """It has every member of Spindle, ``times`` among them, which is known before ``open``."""
+    """It has every member of Spindle; ``times`` is known before ``open``."""
     assert isinstance(spindle.device, Spindle)
     assert min(spindle.device.times.silence_s, spindle.device.times.watchdog_s, spindle.device.times.spin_s) > 0.0
 
 
 @moves
 async def test_it_returns_at_speed(spindle: SpindleRig, opened: Spindle) -> None:
-    """``set_speed`` returns when the speed is reached within 2 %; samples say so, and what was asked for."""
+    """``set_speed`` returns when the speed is reached within 2 %; samples show it, and the commanded speed."""
     began_s = time.monotonic()
     await opened.set_speed(spindle.scope.rpm)
     sample = await turning(spindle)
@@ -60,7 +60,7 @@ async def test_it_changes_speed_and_direction(spindle: SpindleRig, opened: Spind
 
 @moves
 async def test_zero_returns_when_it_stands(spindle: SpindleRig, opened: Spindle) -> None:
-    """``set_speed(0)`` returns when the spindle stands, not before."""
+    """``set_speed(0)`` returns when the spindle stands still, not before."""
     await opened.set_speed(spindle.scope.rpm)
     await opened.set_speed(0.0)
     assert await spindle.rests()
@@ -69,7 +69,7 @@ async def test_zero_returns_when_it_stands(spindle: SpindleRig, opened: Spindle)
 
 @moves
 async def test_make_safe_stops_it(spindle: SpindleRig, opened: Spindle) -> None:
-    """``make_safe`` returns when the spindle stands."""
+    """``make_safe`` returns when the spindle stands still."""
     await opened.set_speed(spindle.scope.rpm)
     await opened.make_safe()
     assert await spindle.rests()
@@ -77,7 +77,7 @@ async def test_make_safe_stops_it(spindle: SpindleRig, opened: Spindle) -> None:
 
 @moves
 async def test_make_safe_after_close_stops_it(spindle: SpindleRig, opened: Spindle) -> None:
-    """``make_safe`` on a closed device whose spindle turns connects, and stops it."""
+    """``make_safe`` on a closed device whose spindle turns connects and stops it."""
     await opened.set_speed(spindle.scope.rpm)
     await opened.close()
     await opened.make_safe()
@@ -87,9 +87,9 @@ async def test_make_safe_after_close_stops_it(spindle: SpindleRig, opened: Spind
 @moves
 @pytest.mark.parametrize("share", [1.01, -1.2, 1e6, float("nan"), float("inf")])
 async def test_impossible_speeds_are_refused(spindle: SpindleRig, opened: Spindle, share: float) -> None:
-    """More than the drive may, either way round, NaN and infinity raise DeviceRefused, and nothing is sent."""
+    """A speed above the limit in either direction, NaN and infinity raise DeviceRefused, and nothing is sent."""
     if math.isfinite(share) and spindle.scope.most_rpm is None:
-        pytest.skip("nobody says here what is too much")
+        pytest.skip("the scope gives no speed limit")
     with pytest.raises(DeviceRefused):
         await opened.set_speed(share * (spindle.scope.most_rpm or 1.0))
     assert await spindle.rests()
@@ -106,10 +106,10 @@ async def test_samples_keep_it_running(spindle: SpindleRig, opened: Spindle) -> 
 
 
 @moves
-async def test_it_stops_by_itself_when_nobody_cares(spindle: SpindleRig, opened: Spindle) -> None:
-    """Nobody iterates samples: the drive stops by itself and tells a fault; ``make_safe`` clears that, where it may."""
+async def test_without_samples_it_stops(spindle: SpindleRig, opened: Spindle) -> None:
+    """If samples are not iterated, the drive stops and reports a fault; ``make_safe`` clears it if that is allowed."""
     await opened.set_speed(spindle.scope.rpm)
-    if spindle.safe is None:  # asking it could feed its watchdog
+    if spindle.safe is None:  # a request could feed its watchdog
         await asyncio.sleep(opened.times.watchdog_s + opened.times.spin_s)
     else:
         await seen(spindle.rests, spindle.soon_s)
@@ -126,7 +126,7 @@ async def test_it_stops_by_itself_when_nobody_cares(spindle: SpindleRig, opened:
 
 @moves
 async def test_stopping_wins_over_speeding_up(spindle: SpindleRig, opened: Spindle) -> None:
-    """``make_safe`` while ``set_speed`` is on its way wins: that raises DeviceRefused."""
+    """``make_safe`` overtakes a ``set_speed`` under way, which raises DeviceRefused."""
     async with asyncio.TaskGroup() as group:
         speeding = group.create_task(failure_of(opened.set_speed(spindle.scope.most_rpm or spindle.scope.rpm)))
         await first(opened.samples(), spindle.soon_s, lambda one: one.rpm > 0.0)
@@ -150,7 +150,7 @@ async def test_samples_end_with_a_cut_link(spindle: SpindleRig, opened: Spindle)
 @moves
 @mutes
 async def test_set_speed_ends_with_a_silent_link(spindle: SpindleRig, opened: Spindle) -> None:
-    """``set_speed`` on a link that falls silent raises LinkError, within ``times.silence_s``: it waits for nobody."""
+    """``set_speed`` raises LinkError within ``times.silence_s`` after the link falls silent."""
     async with asyncio.TaskGroup() as group:
         speeding = group.create_task(failure_of(opened.set_speed(spindle.scope.most_rpm or spindle.scope.rpm)))
         await first(opened.samples(), spindle.soon_s, lambda one: one.rpm > 0.0)

@@ -26,9 +26,9 @@ from tests.programs import plan_of
 STATUS = {"state": "running", "accepted": 3, "executed": 1, "stops": 0, "buffer_s": 0.5}
 
 
-@pytest.mark.parametrize(("value", "told"), [(0, 0.0), (0.5, 0.5), (1, 1.0), (1.2, 1.2), (None, None)])
-def test_the_robot_link_may_report_it(value: float | None, told: float | None) -> None:
-    assert protocol.status(json.dumps({**STATUS, "override": value}).encode()).override == told
+@pytest.mark.parametrize(("value", "reported"), [(0, 0.0), (0.5, 0.5), (1, 1.0), (1.2, 1.2), (None, None)])
+def test_the_robot_link_may_report_it(value: float | None, reported: float | None) -> None:
+    assert protocol.status(json.dumps({**STATUS, "override": value}).encode()).override == reported
 
 
 def test_a_robot_link_of_before_reports_none() -> None:
@@ -42,9 +42,9 @@ def test_a_robot_link_that_reports_no_fraction_is_not_believed(value: str) -> No
         protocol.status(status.encode())
 
 
-@pytest.mark.parametrize(("value", "told"), [("100", 1.0), ("0", 0.0), ("50", 0.5), ("120", 1.2)])
-def test_linuxcnc_reports_percent(value: str, told: float) -> None:
-    assert override_of(value) == told
+@pytest.mark.parametrize(("value", "reported"), [("100", 1.0), ("0", 0.0), ("50", 0.5), ("120", 1.2)])
+def test_linuxcnc_reports_percent(value: str, reported: float) -> None:
+    assert override_of(value) == reported
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "", "1 2", "5000", "fifty"])
@@ -62,7 +62,7 @@ async def test_the_linuxcnc_driver_reports_it_with_a_program_and_without(tmp_pat
     assert (await robot.progress()).override == 0.5
     await robot.prepare(plan_of([b"G1 X1 F60"]))
     fake.feed_override = 120
-    while (await robot.progress()).override == 0.5:  # noqa: ASYNC110 -- progress is all that the port tells
+    while (await robot.progress()).override == 0.5:  # noqa: ASYNC110 -- the port has only progress
         await asyncio.sleep(0.005)
     assert (await robot.progress()).override == 1.2
     await robot.close()
@@ -72,9 +72,9 @@ async def test_the_linuxcnc_driver_reports_it_with_a_program_and_without(tmp_pat
 def sample(**values: float) -> RtdeSample:
     names = ("timestamp", "runtime_state", "robot_mode", "safety_mode", "target_speed_fraction", "speed_scaling")
     usual = dict(zip(names, (1.0, UrRuntimeState.PLAYING, 7, 1, 1.0, 1.0), strict=True))
-    told = {name: (float(values.get(name, value)),) for name, value in usual.items()}
+    outputs = {name: (float(values.get(name, value)),) for name, value in usual.items()}
     registers = dict.fromkeys(UrRegisters().outputs(), (0.0,))
-    return RtdeSample.of({**told, **registers, "target_TCP_speed": (0.0,) * 6}, UrRegisters())
+    return RtdeSample.of({**outputs, **registers, "target_TCP_speed": (0.0,) * 6}, UrRegisters())
 
 
 def test_universal_robots_reports_slider_times_scaling_and_the_slider_alone_at_rest() -> None:

@@ -20,16 +20,16 @@ from tests.unit.sim_backends.vectors import vectors
 
 
 class Bench:
-    """A load cell whose time passes when somebody says so."""
+    """A load cell with a manual clock."""
 
     def __init__(self, **config: Any) -> None:
-        self.told: list[str] = []
+        self.reported: list[str] = []
         whole = SimForceSensorSection(**{"noise_n": 0.0, **config})
-        self.cell = LoadCell(whole, np.random.default_rng(1), lambda name, *_, **__: self.told.append(name), 100.0)
+        self.cell = LoadCell(whole, np.random.default_rng(1), lambda name, *_, **__: self.reported.append(name), 100.0)
         self.answer = sensor_device.answering(self.cell, 3)
 
     def after(self, seconds: float) -> float:
-        """What it tells so much later, N."""
+        """Reading so much later, N."""
         for _ in range(round(seconds / 0.01)):
             self.cell.step(self.cell.now_s + 0.01)
         return float(self.answer("F?").split(",")[3])
@@ -52,7 +52,7 @@ def test_it_carries_its_tool_until_it_is_tared() -> None:
     assert bench.answer("TARE") == "OK"
     assert (bench.cell.state, bench.answer("TARE")) == (TARING, "ERR,busy,it tares")
     assert bench.after(0.5) == 0.0
-    assert (bench.cell.state, bench.told) == (MEASURING, ["sensor_tared"])
+    assert (bench.cell.state, bench.reported) == (MEASURING, ["sensor_tared"])
 
 
 def test_it_feels_what_acts_a_little_later() -> None:
@@ -136,43 +136,43 @@ def test_one_that_lies_or_spikes_reads_what_does_not_act() -> None:
 
 
 def inputs(**signals: SimSignal) -> tuple[Inputs, list[str]]:
-    told: list[str] = []
+    reported: list[str] = []
     whole = {**SEVEN, **signals}
-    return Inputs(whole, np.random.default_rng(1), lambda name, *_, **__: told.append(name), 100.0), told
+    return Inputs(whole, np.random.default_rng(1), lambda name, *_, **__: reported.append(name), 100.0), reported
 
 
 def test_the_seven_are_as_they_should_be() -> None:
     found, _ = inputs()
-    assert 1.3 < float(found.told("slurry_flow")) < 1.7
-    assert [found.told(name) for name in ("guard_closed", "emergency_stop_clear", "cell_empty")] == ["ON"] * 3
+    assert 1.3 < float(found.reading("slurry_flow")) < 1.7
+    assert [found.reading(name) for name in ("guard_closed", "emergency_stop_clear", "cell_empty")] == ["ON"] * 3
 
 
 def test_a_flow_stops_after_so_long_in_contact() -> None:
-    found, told = inputs(slurry_flow=SimSignal(value=1.5, changes_to=0.0, after_s=2.0))
+    found, reported = inputs(slurry_flow=SimSignal(value=1.5, changes_to=0.0, after_s=2.0))
     found.step(200.0)
-    assert (found.told("slurry_flow"), told) == ("1.5000", [])
+    assert (found.reading("slurry_flow"), reported) == ("1.5000", [])
     found.touching = True
     found.step(201.9)
-    assert found.told("slurry_flow") == "1.5000"
+    assert found.reading("slurry_flow") == "1.5000"
     found.step(202.1)
-    assert (found.told("slurry_flow"), told) == ("0.0000", ["signal_changes"])
+    assert (found.reading("slurry_flow"), reported) == ("0.0000", ["signal_changes"])
     found.step(300.0)
-    assert found.told("slurry_flow") == "0.0000"
+    assert found.reading("slurry_flow") == "0.0000"
 
 
 def test_a_guard_opens_for_a_while_at_the_press_of_a_button() -> None:
-    found, told = inputs(guard_closed=SimSignal(value=True, changes_to=False, duration_s=1.0))
+    found, reported = inputs(guard_closed=SimSignal(value=True, changes_to=False, duration_s=1.0))
     found.step(200.0)
     found.press()
-    assert (found.told("guard_closed"), told) == ("OFF", ["signal_changes"])
+    assert (found.reading("guard_closed"), reported) == ("OFF", ["signal_changes"])
     found.step(201.5)
-    assert found.told("guard_closed") == "ON"
+    assert found.reading("guard_closed") == "ON"
 
 
 def test_a_transducer_may_break() -> None:
     found, _ = inputs(chuck_vacuum=SimSignal(value=82.0, changes_to="?"))
     found.press()
-    assert found.told("chuck_vacuum") == "?"
+    assert found.reading("chuck_vacuum") == "?"
 
 
 # their lines, by the documents' vectors

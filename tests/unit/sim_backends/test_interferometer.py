@@ -29,15 +29,15 @@ class Link:
 
     def __init__(self) -> None:
         self.events: list[tuple[str, dict[str, Any]]] = []
-        self.asked = asyncio.Event()
+        self.requested = asyncio.Event()
 
     def event(self, name: str, **data: Any) -> None:
         """Keep it."""
         self.events.append((name, data))
 
-    def ask(self, **_message: Any) -> None:
-        """Somebody wants a measurement."""
-        self.asked.set()
+    def send_message(self, **_message: Any) -> None:
+        """Request a measurement."""
+        self.requested.set()
 
 
 def instrument(folder: Path, *, faults: MapFaults | None = None, **section: Any) -> SimInterferometer:
@@ -62,7 +62,7 @@ def sizes_of(folder: Path, end: str) -> list[int]:
 async def until(condition: Callable[[], object]) -> None:
     """Wait until it is so."""
     async with asyncio.timeout(SOON_S):
-        while not condition():  # noqa: ASYNC110 -- nobody tells
+        while not condition():  # noqa: ASYNC110 -- no event exists
             await asyncio.sleep(0.005)
 
 
@@ -120,7 +120,7 @@ async def test_a_file_grows_or_fills_under_the_name_that_is_configured(
     if preallocate:
         assert set(sizes) <= {0, len(data)}
     else:
-        assert len(set(sizes)) > 3, "somebody who reads too early sees a torn file"
+        assert len(set(sizes)) > 3, "an early reader sees an incomplete file"
 
 
 async def test_one_request_one_map(tmp_path: Path) -> None:
@@ -129,9 +129,9 @@ async def test_one_request_one_map(tmp_path: Path) -> None:
     running = asyncio.create_task(device.run())
     request = tmp_path / "measure.request"
     for count in (1, 2):
-        link.asked.clear()
+        link.requested.clear()
         request.write_text("{}")
-        await asyncio.wait_for(link.asked.wait(), SOON_S)
+        await asyncio.wait_for(link.requested.wait(), SOON_S)
         assert not request.exists()
         assert len(files(tmp_path)) == count - 1, "the plant has not given the surface yet"
         device.maps.put_nowait(TRUE)

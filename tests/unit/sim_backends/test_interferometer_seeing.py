@@ -1,4 +1,4 @@
-"""What the simulated interferometer adds: each error by itself, on a part that is flat or has a known form."""
+"""What the simulated interferometer adds: each error alone, on a part that is flat or has a known form."""
 
 from __future__ import annotations
 

@@ -15,18 +15,18 @@ LINES = {name: line.encode() for name, line in vectors("loader").items()}
 
 
 class Bench:
-    """An arm whose time passes when somebody says so."""
+    """An arm with a manual clock."""
 
     def __init__(self, seat: str = "P-1", **changes: Any) -> None:
-        self.told: list[str] = []
+        self.reported: list[str] = []
         self.seats: list[str] = []
         values: dict[str, Any] = {"load_s": 2.0, "unload_s": 1.0} | changes
-        self.arm = LoaderArm(lambda name, *_, **__: self.told.append(name), self.seats.append, 0.0, seat, **values)
+        self.arm = LoaderArm(lambda name, *_, **__: self.reported.append(name), self.seats.append, 0.0, seat, **values)
 
     def after(self, seconds: float, *, heard: bool = True) -> int:
         """Its state so much later."""
         if heard:
-            self.arm.hear()
+            self.arm.on_request()
         self.arm.step(self.arm.now_s + seconds)
         return self.arm.state
 
@@ -41,7 +41,7 @@ def test_a_part_goes_and_another_comes() -> None:
     bench = Bench()
     bench.change("P-2")
     assert (bench.arm.seat, bench.arm.seen, bench.seats) == ("P-2", "P-2", ["", "P-2"])
-    assert bench.told == ["loader_moves", "loader_clear"] * 2
+    assert bench.reported == ["loader_moves", "loader_clear"] * 2
 
 
 def test_a_part_that_is_there_stays() -> None:
@@ -84,7 +84,7 @@ def test_unheard_it_stops_by_itself() -> None:
     bench.arm.load("P-2")
     assert bench.after(4.9, heard=False) == MOVING
     assert bench.after(0.2, heard=False) == STOPPED
-    assert "watchdog" in bench.told
+    assert "watchdog" in bench.reported
 
 
 def test_refusals() -> None:

@@ -19,7 +19,7 @@ class Cluster:
     def __init__(self, folder: Path, workers: int) -> None:
         """Start them; it is ended as a context."""
         self._folder, self._file = folder, folder / "scheduler.json"
-        self._file.unlink(missing_ok=True)  # of a run before: its address is nobody's
+        self._file.unlink(missing_ok=True)  # of a run before: its address is stale
         self._log = (folder / "dask.log").open("wb")
         self._scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
         self.workers: list[subprocess.Popen[bytes]] = []
@@ -27,7 +27,7 @@ class Cluster:
             self.add_worker()
 
     def add_worker(self) -> None:
-        """One more, which nobody starts again."""
+        """One more, without a restart."""
         words = ("--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", "--local-directory", str(self._folder))
         self.workers.append(self._start("worker", *words))
 

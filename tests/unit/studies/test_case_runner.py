@@ -167,12 +167,12 @@ def test_every_shipped_scenario_is_another_plant() -> None:
     with PlantProcess() as plant:
         for name, scenario in study.all_scenarios().items():
             plant.new(laid_over(sections, scenario), 1)
-            told, _ = plant.truth()
+            reported, _ = plant.truth()
             own = [
                 {k: v for k, v in scenario.plant.get("hidden_truth", {}).items() if k in {"tool_wear", "thermal_nm"}}
             ]
             undrawn = [scenario.plant.get(section) for section in ("interferometer", "process")]
-            drawn[name] = json.dumps([told["machines"], told["effects"], own, undrawn])
+            drawn[name] = json.dumps([reported["machines"], reported["effects"], own, undrawn])
     assert "nothing" in drawn
     assert len(drawn) == len(set(drawn.values())) > 15
 

@@ -1,4 +1,4 @@
-"""A loop's instrument is told by turning the part: its error comes off, and the truth is what the certificate is of."""
+"""Turning the part measures the instrument's error, which is subtracted; the certificate is compared with the truth."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ def rms_nm(height_nm: FloatArray) -> float:
 
 
 @pytest.mark.full
-def test_the_instruments_astigmatism_is_told_and_comes_off(plant: PlantProcess) -> None:
+def test_the_instruments_astigmatism_is_measured_and_subtracted(plant: PlantProcess) -> None:
     drawn(plant, astigmatism_nm=3.0)
     recipe = with_absolute_test(small_recipe(), plant, POSES)
     assert recipe.system is not None
     assert recipe.accept == "bound"
-    told = recipe.system.told
-    assert (2, 2) not in told.unknown
-    assert told.unknown[2, 0] == pytest.approx(1.0)
-    assert (4, 0) not in told.unknown, "the shift tells it"
+    report = recipe.system.result
+    assert (2, 2) not in report.unknown
+    assert report.unknown[2, 0] == pytest.approx(1.0)
+    assert (4, 0) not in report.unknown, "the shift measures it"
     off = recipe.system.surface.height_nm
     assert rms_nm(off) == pytest.approx(3.0, rel=0.15)
     measured, _ = plant.measure()
@@ -135,4 +135,4 @@ def test_turning_the_part_brings_the_true_figure_into_tolerance(tmp_path: Path) 
     assert turned.accepted
     assert turned.true_fits
     assert turned.true_rms_nm[-1] < 1.0
-    assert not demanding.accepted, "5 nm of power are told by nothing"
+    assert not demanding.accepted, "nothing measures 5 nm of power"

@@ -1,4 +1,4 @@
-"""A spot on a witness part tells a loop of its machine before the first pass."""
+"""A spot on a witness part gives a loop estimates of its machine before the first pass."""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> None:
-    exact, told = runs_here(study(tmp_path, '[controllers.exact]\n[controllers.told]\nwitness = "rate"\n'))
-    assert exact.rms_nm[0] == told.rms_nm[0], "the part itself is the same, whatever the witness took"
-    assert exact.rms_nm[1] > 2 * told.rms_nm[1]
-    assert told.accepted
+    exact, witnessed = runs_here(study(tmp_path, '[controllers.exact]\n[controllers.witnessed]\nwitness = "rate"\n'))
+    assert exact.rms_nm[0] == witnessed.rms_nm[0], "the part itself is the same, whatever the witness took"
+    assert exact.rms_nm[1] > 2 * witnessed.rms_nm[1]
+    assert witnessed.accepted
 
 
 def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:

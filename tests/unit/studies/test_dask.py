@@ -29,12 +29,12 @@ Rows = dict[int, tuple[dict[str, Any], ...]]
 
 
 def rows(
-    study: Path, executor: Executor, kill: Callable[[], None] = lambda: None, tell: Callable[[str], None] = print
+    study: Path, executor: Executor, kill: Callable[[], None] = lambda: None, report_wait: Callable[[str], None] = print
 ) -> Rows:
     """By case; after each that came, whom ``kill`` knows is killed."""
     found = {}
     with executor:
-        for done in work(study, cases_of(load_swept(study)), executor, tell=tell):
+        for done in work(study, cases_of(load_swept(study)), executor, report_wait=report_wait):
             found[done.case.number] = tuple(
                 {key: value for key, value in row.items() if key != "cpu_s"} for row in done.answer.rows
             )
@@ -57,7 +57,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bits_as_a_pool(tmp_path: P
 @pytest.mark.full
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_cluster_without_workers_is_waited_for_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """None at first, and none once the only one was killed; whoever reads it starts one."""
+    """None at first, and none once the only one was killed; a read starts one."""
     monkeypatch.setattr(engine, "LOOK_S", 1.0)
     study, said = study_file(tmp_path, f"{LOOPS}{SWEEP}", near=-0.1), list[str]()
     with Cluster(tmp_path, 0) as cluster:
@@ -65,16 +65,16 @@ def test_a_cluster_without_workers_is_waited_for_and_says_so(tmp_path: Path, mon
         def kill() -> None:
             cluster.workers[0].kill()
 
-        def tell(words: str) -> None:
+        def report_wait(words: str) -> None:
             said.append(words)
             if words.startswith("no worker"):
                 cluster.add_worker()
 
-        found = rows(study, DaskCluster(cluster.address), kill, tell)
+        found = rows(study, DaskCluster(cluster.address), kill, report_wait)
         start = f"no worker at {cluster.address}: start one with `dask worker {cluster.address} --nthreads 1`"
     assert len(found) == 4
     assert all(found.values())
-    assert said == [f"{start}; it is waited for", "a worker is there; the study goes on"] * 2
+    assert said == [f"{start}; the study waits", "a worker is there; the study continues"] * 2
     assert len(cluster.workers) == 2
 
 

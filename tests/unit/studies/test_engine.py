@@ -20,7 +20,7 @@ ODD = "tests.unit.studies.odd_child"
 
 @pytest.fixture(autouse=True)
 def odd(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers that do as they are told."""
+    """Workers with scripted results."""
     monkeypatch.setattr(children, "TARGET", f"{ODD}:start")
 
 
@@ -58,7 +58,7 @@ def test_what_hangs_is_killed_at_its_limit(tmp_path: Path) -> None:
 
 
 class Lonely(LocalPool):
-    """One that has nobody to work until somebody was told of it."""
+    """An executor without workers until the lack is reported."""
 
     def __init__(self) -> None:
         super().__init__(1)
@@ -69,7 +69,7 @@ class Lonely(LocalPool):
         return self.given[-1][1]
 
     def come(self, words: str) -> None:
-        """Whoever reads it starts one."""
+        """A read starts one."""
         self.said.append(words)
         self.lack = ""
         for task, future in self.given:
@@ -80,9 +80,9 @@ class Lonely(LocalPool):
 def test_nobody_to_work_is_told_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "LOOK_S", 0.05)
     with Lonely() as lonely:
-        (done,) = work(tmp_path / "study.toml", cases(""), lonely, tell=lonely.come)
+        (done,) = work(tmp_path / "study.toml", cases(""), lonely, report_wait=lonely.come)
     assert done.answer.rows == ({},)
-    assert lonely.said == ["no worker at x; it is waited for", "a worker is there; the study goes on"]
+    assert lonely.said == ["no worker at x; the study waits", "a worker is there; the study continues"]
 
 
 def test_one_that_is_slow_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

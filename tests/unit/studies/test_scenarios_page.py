@@ -18,15 +18,15 @@ def row(scenario: str, loop: str, **others: Any) -> dict[str, Any]:
 
 
 def test_loops_stand_beside_each_other_and_what_is_slower_is_named() -> None:
-    told = tables([
+    reported = tables([
         row("nothing", "rate"),
         row("nothing", "touched", false_accepts=1),
         row("far", "rate", passes_median=2.0),
         row("far", "touched", passes_median=None, true_rms_nm_median=None, first_held=0),
     ])  # fmt: skip
-    assert "| `touched` | 8 | 8 | 1 | 10 of 12, 83% | 3 of 8, 38% | `far` |" in told
-    assert "| `rate` | 8 | 8 | 0 | 10 of 12, 83% | 6 of 8, 75% | none |" in told
-    assert "| `far` | 4 | 4 / 4 | 2 / - | 1.80 / 1.80 | 1.50 / - | 0 / 0 | 3 of 4 / 0 of 4 |" in told
+    assert "| `touched` | 8 | 8 | 1 | 10 of 12, 83% | 3 of 8, 38% | `far` |" in reported
+    assert "| `rate` | 8 | 8 | 0 | 10 of 12, 83% | 6 of 8, 75% | none |" in reported
+    assert "| `far` | 4 | 4 / 4 | 2 / - | 1.80 / 1.80 | 1.50 / - | 0 / 0 | 3 of 4 / 0 of 4 |" in reported
 
 
 def test_a_part_that_is_in_tolerance_as_it_comes_takes_no_pass() -> None:
@@ -34,8 +34,8 @@ def test_a_part_that_is_in_tolerance_as_it_comes_takes_no_pass() -> None:
 
 
 def test_what_today_s_loop_never_ends_no_other_is_slower_in() -> None:
-    told = tables([row("far", "rate", passes_median=None), row("far", "machine", passes_median=None)])
-    assert told.count("| none |") == 2
+    reported = tables([row("far", "rate", passes_median=None), row("far", "machine", passes_median=None)])
+    assert reported.count("| none |") == 2
 
 
 def test_the_page_has_its_marks_once() -> None:

@@ -42,7 +42,7 @@ def rows() -> list[dict[str, Any]]:
 def test_medians_have_intervals_by_ranks() -> None:
     found = middle([float(k) for k in range(1, 101)])
     assert (found.median, found.low, found.high) == (50.5, 40.0, 61.0)
-    assert middle([1.0, 2.0, 3.0]).low is None, "of three nobody knows"
+    assert middle([1.0, 2.0, 3.0]).low is None, "three values give no interval"
     assert middle([]).median is None
     assert middle([1.0, math.inf, math.inf]).median is None, "half of them never came"
 
@@ -63,7 +63,7 @@ def test_shares_are_wilsons() -> None:
 def test_groups_pairs_and_what_goes_with_what(rows: list[dict[str, Any]]) -> None:
     found = summarise(rows)
     assert found.kind == "loop"
-    assert [dict(group.label) for group in found.groups] == [{"loop": "a"}, {"loop": "b"}], "one scenario tells nothing"
+    assert [dict(group.label) for group in found.groups] == [{"loop": "a"}, {"loop": "b"}], "one scenario is no label"
     assert [group.failed for group in found.groups] == [10, 11]
     assert found.groups[0].figures["true_rms_end_nm"].median == 14.5
     (rms, passes) = found.paired
@@ -77,7 +77,7 @@ def test_groups_pairs_and_what_goes_with_what(rows: list[dict[str, Any]]) -> Non
         one.share[0] for one in found.fails if one.label == {"loop": "a"} and one.key == "plant_with.hidden_truth.rate"
     ]
     assert rate == [0.0, 0.0, 1.0]
-    assert {one.where for one in found.fails if one.key == "passes"} == {"2", "3"}, "few values are told each"
+    assert {one.where for one in found.fails if one.key == "passes"} == {"2", "3"}, "few values are listed singly"
 
 
 def test_a_case_with_an_error_fails_and_has_no_figures(rows: list[dict[str, Any]]) -> None:

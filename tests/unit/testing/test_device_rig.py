@@ -1,4 +1,4 @@
-"""A driver of one's own for the suites: what is wrong with it is said, and its simulator never outlives its test."""
+"""A user's driver under the suites: its errors are reported, and its simulator ends with its test."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def simulator(source: str) -> list[str]:
     return [sys.executable, "-c", source]
 
 
-async def test_a_simulator_is_told_of_cut_muted_and_ended(tmp_path: Path) -> None:
+async def test_a_simulator_is_cut_muted_and_ended(tmp_path: Path) -> None:
     async with case(simulator=simulator(TALKS))(tmp_path) as rig:
         device: Any = rig.device
         assert device.options.address == "at tcp://127.0.0.1:9"
@@ -101,7 +101,7 @@ async def test_a_real_device_is_left_safe_and_has_no_link_to_cut(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("source", "said"),
-    [("print('ready')", "ended before it said where it answers"), ("raise SystemExit(3)", "ended before it said")],
+    [("print('ready')", "ended before it printed its address"), ("raise SystemExit(3)", "ended before it printed")],
 )
 async def test_a_simulator_that_does_not_come_up_is_an_error(source: str, said: str) -> None:
     with pytest.raises(DeviceFault, match=said):
@@ -113,7 +113,7 @@ async def test_a_simulator_that_does_not_come_up_is_an_error(source: str, said: 
     ("wrong", "error", "said"),
     [
         ({"plugin": SimpleNamespace()}, PluginError, "POLISHD_API = 1"),
-        ({"plugin": plugin(polishd_device_type=simulator)}, PluginError, "is no hook"),
+        ({"plugin": plugin(polishd_device_type=simulator)}, PluginError, "is not a hook"),
         ({"type": "bix"}, PluginError, "no device type 'bix'; it has box"),
         ({"options": {"adress": "x"}}, ValidationError, "adress"),
     ],
@@ -128,7 +128,7 @@ async def test_what_does_not_come_is_said_with_the_last_that_came() -> None:
         for number in range(3):
             yield number
 
-    with pytest.raises(AssertionError, match="they ended; the last was 2"):
+    with pytest.raises(AssertionError, match="the last was 2"):
         await first(numbers(), SOON_S, lambda number: number > 5)
 
     async def never() -> bool:

@@ -1,4 +1,4 @@
-"""docs/drivers.md: its driver passes the suite, one that breaks a demand is told so, and its ports are the code's."""
+"""docs/drivers.md: its driver passes the suite, a broken one fails with the requirement, its ports are the code's."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def written(folder: Path, driver: str) -> Path:
 
 
 def suite(folder: Path, *options: str, python: str | Path = sys.executable) -> subprocess.CompletedProcess[str]:
-    """Runs as whoever has read the page runs it."""
+    """Run the suite as the page describes it."""
     command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
@@ -116,7 +116,7 @@ def test_a_driver_that_breaks_a_demand_is_told_which(
     assert FILES[DRIVER].count(right) == 1
     done = suite(written(tmp_path, FILES[DRIVER].replace(right, wrong)), "-k", test)
     assert done.returncode == 1, done.stdout
-    assert demand in done.stdout.partition("what the port demands")[2], done.stdout
+    assert demand in done.stdout.partition("requirement of the port")[2], done.stdout
 
 
 def test_the_ports_are_what_the_code_says() -> None:

@@ -1,4 +1,4 @@
-"""A real cell under the suites: what is said before, and what is not done."""
+"""A real cell under the suites: its description, and its limits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from polishd.config.cell import load_config
 from polishd.model.errors import ConfigError
-from polishd.testing.hil_bench import HilRequest, Level, foreseen, stand_ins, words
+from polishd.testing.hil_bench import HilRequest, Level, foreseen, simulated_devices, words
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 PRESSES = {"level": Level.CONTACT, "max_force_n": 5.0}
@@ -55,16 +55,16 @@ def test_a_robot_moves_only_where_somebody_says(cell: Path, tmp_path: Path) -> N
 
 
 def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
-    told = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
-    assert any(line.startswith("spindle (simulated, in place of cia402_spindle") for line in told)
-    assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in told)
+    lines = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
+    assert any(line.startswith("spindle (simulated, in place of cia402_spindle") for line in lines)
+    assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in lines)
 
 
 @pytest.mark.parametrize(
     ("asked", "problem"),
     [
-        ({"level": Level.CONTACT}, "--max-force NEWTONS is needed"),
-        ({"level": Level.CONTACT, "max_force_n": float("nan")}, "more than 0"),
+        ({"level": Level.CONTACT}, "need --max-force NEWTONS"),
+        ({"level": Level.CONTACT, "max_force_n": float("nan")}, "greater than 0"),
         ({"simulate": ("robto",)}, "--simulate robto: the cell has actuator, robot"),
         (
             {"simulate": ("metrology",)},
@@ -83,7 +83,7 @@ def test_a_motion_without_blocks_is_said_before(cell: Path, tmp_path: Path, text
     motion = tmp_path / "air.nc"
     if text is not None:
         motion.write_text(text)
-    with pytest.raises(ConfigError, match=r"--motion .*air\.nc: (No such file|it has no blocks)"):
+    with pytest.raises(ConfigError, match=r"--motion .*air\.nc: (No such file|the program has no blocks)"):
         said(cell, motion=motion)
 
 
@@ -110,6 +110,6 @@ def test_of_a_cell_what_acts_is_tried_and_never_harder_than_allowed(cell: Path) 
     assert foreseen(HilRequest(cell=cell, level=Level.CONTACT, max_force_n=50.0)).scope().force_n == 12.0
 
 
-def test_without_stand_ins_nothing_is_laid_over(cell: Path, tmp_path: Path) -> None:
-    with stand_ins(load_config(cell), (), tmp_path) as laid_over:
+def test_without_simulated_devices_nothing_is_overridden(cell: Path, tmp_path: Path) -> None:
+    with simulated_devices(load_config(cell), (), tmp_path) as laid_over:
         assert laid_over == {}

@@ -69,9 +69,9 @@ def test_an_order_is_not_passed_over() -> None:
 
 
 def test_a_modbus_transaction_has_the_number_of_its_request() -> None:
-    ask, told = bytes.fromhex("0007 0000 0006 01 03 0000 0001"), bytes.fromhex("0007 0000 0005 01 03 02 1234")
-    said = script(("out", ask), ("in", told))
-    assert answer(said, b"\x00\x63" + ask[2:]) == b"\x00\x63" + told[2:]
+    ask, reply = bytes.fromhex("0007 0000 0006 01 03 0000 0001"), bytes.fromhex("0007 0000 0005 01 03 02 1234")
+    said = script(("out", ask), ("in", reply))
+    assert answer(said, b"\x00\x63" + ask[2:]) == b"\x00\x63" + reply[2:]
     assert said.dialect.cut(ask + ask[:5]) == len(ask)
     assert said.dialect.cut(ask[:7]) is None
 
@@ -109,7 +109,7 @@ async def test_one_of_several_links_is_named(tmp_path: Path) -> None:
     other = json.loads(passed_line(rows[0][1], 0.0)) | {"link": "tcp://h:2"}
     with path.open("a") as file:
         file.write(json.dumps(other) + "\n")
-    with pytest.raises(ConfigError, match=r"tool has the links tcp://h:1, tcp://h:2; say link= one of them"):
+    with pytest.raises(ConfigError, match=r"tool has the links tcp://h:1, tcp://h:2"):
         async with replayed(path, "tool"):
             pass
     async with replayed(path, "tool", link="tcp://h:2") as link:

@@ -1,4 +1,4 @@
-"""Whether the tool touches, told by where it is."""
+"""Contact detection by position."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from polishd.drivers.cia402.actuator import WINDOW_S, ContactDetector
 
 
-def told(positions: Iterable[tuple[float, float]]) -> list[bool]:
+def contacts(positions: Iterable[tuple[float, float]]) -> list[bool]:
     contact = ContactDetector(rest_mm=0.1, end_mm=9.9, travel_mm_s=1.0)
     return [contact.feed(at_s, position_mm) for at_s, position_mm in positions]
 
@@ -23,26 +23,26 @@ def way(
 
 def test_it_touches_once_it_no_longer_travels() -> None:
     positions = way(speed_mm_s=2.5, touch_mm=5.0)
-    answers = told(positions)
+    answers = contacts(positions)
     first = positions[answers.index(True)][0]
     assert 2.0 < first < 2.0 + 2 * WINDOW_S
     assert all(answers[answers.index(True) :])
 
 
 def test_at_its_rest_and_at_its_end_it_touches_nothing() -> None:
-    assert not any(told(way(speed_mm_s=0.0, touch_mm=5.0)))
-    assert not any(told(way(speed_mm_s=5.0, touch_mm=10.0)))
+    assert not any(contacts(way(speed_mm_s=0.0, touch_mm=5.0)))
+    assert not any(contacts(way(speed_mm_s=5.0, touch_mm=10.0)))
 
 
 def test_it_follows_the_part_and_tells_where_the_part_ends() -> None:
     hill = [(t, 5.0 + 0.5 * float(np.sin(1.5 * t))) for t in np.arange(0.0, 6.0, 0.05)]  # 0.75 mm/s at most
-    assert all(told(hill)[2:])
+    assert all(contacts(hill)[2:])
     edge = [*hill, *((6.0 + t, hill[-1][1] + 20.0 * t) for t in np.arange(0.0, 0.2, 0.05))]
-    assert not told(edge)[-1]
+    assert not contacts(edge)[-1]
 
 
 def test_a_pause_between_readings_is_no_contact_by_itself() -> None:
-    assert told([(0.0, 0.0), (0.05, 0.125), (1.0, 2.5)]) == [False, False, False]
+    assert contacts([(0.0, 0.0), (0.05, 0.125), (1.0, 2.5)]) == [False, False, False]
 
 
 def test_what_was_before_a_lift_is_forgotten() -> None:

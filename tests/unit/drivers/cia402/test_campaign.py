@@ -34,7 +34,7 @@ ANSWER = 0x580 + NODE
 
 
 class NastyDrive:
-    """Answers in order, as drives do; each value is its request's number, so that it tells which one it answers."""
+    """Answers in order, as drives do; each value is its request's number, so that it identifies the request."""
 
     def __init__(self, seed: int, loop: VirtualLoop) -> None:
         self.rng = random.Random(seed)
@@ -196,17 +196,17 @@ async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Call
     drive, _motor = sim_motor()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
     device = cia402_spindle(SlcanAddress(wire.path), SpindleTimes(silence_s=5.0, watchdog_s=5.0))
-    told = 0
+    treated_count = 0
 
     def broken(frame: Frame) -> list[Frame]:
-        nonlocal told
+        nonlocal treated_count
         treated = nasty(frame)
-        told += len(treated) - 1
+        treated_count += len(treated) - 1
         return treated
 
     drive.treat = broken
     opened, tasks, alive = 0, len(asyncio.all_tasks()), 0
-    while told < 2_000:
+    while treated_count < 2_000:
         await device.open()
         await device.set_speed(600.0)
         async for sample in device.samples():

@@ -82,7 +82,7 @@ def test_what_is_missing_is_told_with_its_place(written: Callable[[str | bytes],
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[DeviceInfo", "has no section"),
         ("[DeviceInfo]\nno key", "parsing errors"),
@@ -93,9 +93,9 @@ def test_what_is_missing_is_told_with_its_place(written: Callable[[str | bytes],
     ],
 )
 def test_broken_files_are_config_errors_in_one_line(
-    written: Callable[[str | bytes], Path], text: str, told: str
+    written: Callable[[str | bytes], Path], text: str, message: str
 ) -> None:
-    with pytest.raises(ConfigError, match=told) as caught:
+    with pytest.raises(ConfigError, match=message) as caught:
         read_dictionary(written(text), 5)
     assert str(caught.value).startswith(f"{written(text)}: is no EDS file")
     assert "\n" not in str(caught.value)

@@ -102,7 +102,7 @@ async def test_what_the_drive_has_already_is_not_written_again(spin: Spin) -> No
 
 @pytest.mark.one_of_each
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({(0x1018, 2): 0x0403}, "is product 0x00000403, its EDS file is of 0x00000402"),
         ({(0x1018, 1): 1}, "is vendor 0x00000001"),
@@ -110,10 +110,10 @@ async def test_what_the_drive_has_already_is_not_written_again(spin: Spin) -> No
         ({(0x1000, 0): 0x000F0191}, "is of CiA profile 401, no drive"),
     ],
 )
-async def test_another_drive_is_refused(spin: Spin, change: dict[tuple[int, int], int], told: str) -> None:
+async def test_another_drive_is_refused(spin: Spin, change: dict[tuple[int, int], int], message: str) -> None:
     device, drive, _ = spin
     drive.node.objects.values.update(change)
-    with pytest.raises(DeviceRefused, match=told):
+    with pytest.raises(DeviceRefused, match=message):
         await device.open()
     with pytest.raises(LinkError, match="is not open"):
         await device.status()
@@ -137,7 +137,7 @@ async def test_a_drive_without_heartbeats_is_no_link(spin: Spin) -> None:
 async def test_a_refused_write_is_told_with_its_reason_and_not_tried_again(spin: Spin) -> None:
     device, drive, motor = spin
     await device.open()
-    drive.node.objects[0x6080] = 100  # less than it told at open
+    drive.node.objects[0x6080] = 100  # less than at open
     with pytest.raises(DeviceRefused, match=r"60FFh \(Target velocity\) was refused with 0x06090030, value range"):
         await device.set_speed(1000.0)
     assert drive.written(0x60FF) == [0, 10_000]
@@ -428,7 +428,7 @@ async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press
     await device.set_speed(600.0)
     assert motor.rpm == pytest.approx(600.0, rel=0.03)
     assert drive.heard.count((0x000, b"\x82\x05")) == 1
-    assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 2500, "told anew"
+    assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 2500, "written again"
     await device.make_safe()
     actuator, drive, coil = press
     await actuator.open()

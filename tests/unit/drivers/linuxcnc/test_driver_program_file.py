@@ -1,4 +1,4 @@
-"""The file that LinuxCNC gets: the program's lines, places to stand, and what is told of them."""
+"""The program file for LinuxCNC: blocks, pauses, and progress messages."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def test_who_starts_it_at_the_controller_is_seen() -> None:
 
 
 def test_words_of_the_program_itself_hide_no_stop() -> None:
-    """linuxcncrsh tells one message a look."""
+    """linuxcncrsh returns one message per poll."""
     watch = watch_of(4, stops=(2,))
     watch.go(0.0)
     watch.update(look(0.1, 2, x=1.0, display="look out"))
@@ -203,7 +203,7 @@ def test_records_are_in_order_once_and_fill_the_time(
 
 
 def test_a_line_that_the_motion_cannot_have_reached_is_not_believed() -> None:
-    """Where it begins to move LinuxCNC has told the line that it had read last: a pass of which none was executed."""
+    """At the start LinuxCNC reports the line that it read last, but no block was executed."""
     watch = watch_of(1000, stops=(4, 998), asked=dict.fromkeys(range(4, 998), 0.1))
     watch.go(0.0)
     watch.update(look(0.01, 999))

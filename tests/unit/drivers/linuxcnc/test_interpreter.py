@@ -139,12 +139,12 @@ def test_a_call_counts_in_any_width(fake: Path) -> None:
     [
         (
             ["echo executing >&2", "echo 'it hurts' >&2", "echo 'G4 X1' >&2", "exit 1"],
-            "refuses it: it hurts; G4 X1. To",
+            "refuses it: it hurts; G4 X1. C",
         ),
         (["exit 3"], "no reason, exit code 3"),
-        (["kill -7 $$"], r"it died of signal 7\."),
-        (["echo nonsense"], "says b'nonsense.n', which is no canonical call"),
-        (["echo '1 N..... HALF'"], "which is no canonical call"),
+        (["kill -7 $$"], r"it ended with signal 7\."),
+        (["echo nonsense"], "printed b'nonsense.n', which is not a canonical call"),
+        (["echo '1 N..... HALF'"], "which is not a canonical call"),
         (["head -c 1000000 /dev/zero | tr '\\0' x >&2", "exit 1"], "refuses it: xxx"),
     ],
     ids=["words", "silent", "killed", "nonsense", "half a line", "a flood of words"],
@@ -167,7 +167,7 @@ def test_calls_before_the_fault_are_given(fake: Path) -> None:
 def test_one_that_never_ends_is_killed(fake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(interpreter, "LIMIT_S", 0.2)
     script(fake, "exec sleep 1000")
-    with pytest.raises(ProgramError, match=r"died of signal 9, perhaps at the limit of 0\.2 s"):
+    with pytest.raises(ProgramError, match=r"ended with signal 9, perhaps at the limit of 0\.2 s"):
         calls(b"M2\n")
 
 
@@ -181,5 +181,7 @@ def test_it_does_not_outlive_a_reader_that_stops(fake: Path) -> None:
 
 def test_where_it_is_missing_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ProgramError, match=r"rs274 is not installed. To do: apt-get install .*linuxcnc-uspace"):
+    with pytest.raises(
+        ProgramError, match=r"rs274 is not installed. Install it with apt-get install .*linuxcnc-uspace"
+    ):
         calls(b"M2\n")

@@ -1,4 +1,4 @@
-"""Variables over ADS: pyads against the simulated PLC's own server, on a loopback address of its own."""
+"""Variables over ADS: pyads against the simulated PLC's own server, on a separate loopback address."""
 
 from __future__ import annotations
 

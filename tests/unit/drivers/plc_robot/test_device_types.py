@@ -121,7 +121,7 @@ def test_a_wire_to_the_actuator_makes_up_for_slow_reports(tmp_path: Path, exampl
     assert "feed hold at the controller" not in checked(cell(tmp_path, example, wired=True))
     found = checked(cell(tmp_path, example, max_stall_removal_nm=100.0))
     assert "nm at most" in found["feed hold at the controller"]
-    assert "end of a block known to" not in found, "its controller tells when each began"
+    assert "end of a block known to" not in found, "its controller reports when each began"
     path = cell(tmp_path, example, max_stall_removal_nm=100.0)
     profile = (tmp_path / "mine.toml").read_text().replace("line_began =", "# ")
     (tmp_path / "mine.toml").write_text(profile)

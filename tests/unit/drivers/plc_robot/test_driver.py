@@ -55,7 +55,7 @@ async def rig(tmp_path: Path) -> AsyncIterator[tuple[FakePlc, PlcRobot]]:
 
 async def seen(condition: object) -> None:
     assert callable(condition)
-    while not condition():  # noqa: ASYNC110 -- the machine tells nobody
+    while not condition():  # noqa: ASYNC110 -- the machine sends no event
         await asyncio.sleep(0.005)
 
 
@@ -161,7 +161,7 @@ async def test_another_feed_than_the_programs_is_refused(rig: tuple[FakePlc, Plc
 
 
 async def test_a_hold_overtakes_a_start_that_waits(rig: tuple[FakePlc, PlcRobot]) -> None:
-    """The start waits for the order before it to be taken back; what is told to stay meanwhile stays."""
+    """The start waits until the command before it is reset; a hold meanwhile wins."""
     fake, robot = rig
     program = plan()
     await robot.open()

@@ -140,7 +140,7 @@ async def test_what_breaks_on_its_way_leaves_the_file_before(root: Path) -> None
     async with ftp_server(root) as port:
         await Ftp(place(port)).put("a.nc", b"old")
         sending = asyncio.create_task(Ftp(place(port)).put("a.nc", TEXT * 50))
-        while not (root / "a.nc.part").exists():  # noqa: ASYNC110 -- the server tells nobody
+        while not (root / "a.nc.part").exists():  # noqa: ASYNC110 -- the server sends no event
             await asyncio.sleep(0.001)
         sending.cancel()
         await asyncio.wait({sending})

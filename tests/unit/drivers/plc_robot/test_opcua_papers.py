@@ -34,7 +34,7 @@ def papers_of(folder: Path, name: str, uri: str) -> tuple[Path, Path]:
 
 
 class OneUser(UserManager):
-    """Lets in whoever knows the password."""
+    """Accepts the right password."""
 
     def get_user(
         self, iserver: object, username: str | None = None, password: str | None = None, certificate: object = None

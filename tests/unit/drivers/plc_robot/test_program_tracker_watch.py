@@ -31,7 +31,7 @@ def report(time_s: float, line: int, *states: str, began_s: float | None = None,
 def watch_of(
     blocks: int, stops: tuple[int, ...] = (), expected: list[float] | None = None, proof_s: tuple[float, ...] = ()
 ) -> PlcProgramTracker:
-    """A watch of that many blocks, told to run at 0 s; a stop has one line in the file before it, and dwells."""
+    """A tracker of that many blocks, started at 0 s; a stop has one line in the file before it, and dwells."""
     lines = [b"G1 X%d" % at for at in range(blocks)]
     plan = plan_of(lines, approach_blocks=stops[0] if stops else 0)
     if expected is not None:
@@ -113,12 +113,12 @@ def test_every_block_is_told_once_and_within_two_reports(
         over = under_way == len(true_s)
         watch.update(report(at, min(under_way + 1, len(true_s)), "done" if over else "running"))
     assert watch.state == "done"
-    told = np.array([watch[k].end_s for k in range(len(watch))])
-    assert len(told) == len(true_s)
-    assert all(a.end_s == b.start_s for a, b in pairwise(watch[k] for k in range(len(told))))
-    assert (np.diff(told, prepend=0.0) > 0).all()
-    assert np.abs(told - ends).max() < 2 * 1.2 * report_s
-    assert told[-1] == pytest.approx(ends[-1], abs=2 * 1.2 * report_s)
+    ends_s = np.array([watch[k].end_s for k in range(len(watch))])
+    assert len(ends_s) == len(true_s)
+    assert all(a.end_s == b.start_s for a, b in pairwise(watch[k] for k in range(len(ends_s))))
+    assert (np.diff(ends_s, prepend=0.0) > 0).all()
+    assert np.abs(ends_s - ends).max() < 2 * 1.2 * report_s
+    assert ends_s[-1] == pytest.approx(ends[-1], abs=2 * 1.2 * report_s)
 
 
 def test_a_hundred_milliseconds_leave_little_of_their_jitter() -> None:
@@ -131,10 +131,10 @@ def test_a_hundred_milliseconds_leave_little_of_their_jitter() -> None:
     while len(watch) < 399:
         at += 0.1
         watch.update(report(at, int(np.searchsorted(ends, at, side="right")) + 1))
-    told = np.array([watch[k].end_s for k in range(399)])
-    error = told - ends[:399]
+    ends_s = np.array([watch[k].end_s for k in range(399)])
+    error = ends_s - ends[:399]
     assert error.std() < 0.029
-    assert (told[-1] - told[0]) == pytest.approx(ends[398] - ends[0], rel=1e-3)
+    assert (ends_s[-1] - ends_s[0]) == pytest.approx(ends[398] - ends[0], rel=1e-3)
 
 
 def test_what_a_line_says_before_the_controller_was_seen_running_is_of_another_program() -> None:
@@ -170,7 +170,7 @@ def test_a_feed_hold_is_told_with_the_report_that_shows_it(seen: dict[str, objec
     assert why in watch.stopped
     watch.update(report(0.3, 2, "held"))
     watch.update(report(0.4, 3, "running"))
-    assert why in watch.stopped, "also where it was let go again: somebody has to be told"
+    assert why in watch.stopped, "also after it was released: the reason is reported"
 
 
 def test_a_hold_that_was_asked_for_is_no_fault() -> None:
@@ -239,11 +239,11 @@ def test_a_line_that_is_read_ahead_or_another_file_is_found_out(lag: int, second
     through(watch, lag, seconds)
     assert watch.state == "fault"
     assert "not the block that it executes" in watch.detail
-    assert len(watch) < 2, "nobody lands for it"
+    assert len(watch) < 2, "no landing follows"
 
 
 def test_the_last_block_of_the_approach_is_over_when_the_dwells_are() -> None:
-    """Told earlier, the tool would land while the controller still runs."""
+    """Reported earlier, the tool would land while the controller still runs."""
     watch = watch_of(5, stops=(2,), proof_s=DWELLS)
     watch.update(report(0.05, 1))
     watch.update(report(0.3, 2))

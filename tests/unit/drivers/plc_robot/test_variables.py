@@ -88,7 +88,7 @@ async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
         with pytest.raises(LinkError):
             await link.read()
         await link.close()
-    assert [one.way for one in heard] == ["open", "in", "out", "end"], "an end is told once"
+    assert [one.way for one in heard] == ["open", "in", "out", "end"], "an end is recorded once"
     assert heard[-1].why
     path = written(tmp_path / "case.jsonl", heard)
     found = read_recording(path)

@@ -1,4 +1,4 @@
-"""What is told of a device that does not answer, or not as its profile says: one line, and what to do."""
+"""Messages for a device that does not answer, or not as its profile says: one line, and what to do."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Bench:
         address = SerialLine(self.wire.path, **{"baud": 9600, **line})
         return build.spindle(shipped(name), address, unit=unit)
 
-    async def told(self, device: ProfiledSpindle | ProfiledActuator) -> str:
+    async def message(self, device: ProfiledSpindle | ProfiledActuator) -> str:
         """What opening it says."""
         with pytest.raises(DeviceError) as error:
             await device.open()
@@ -60,32 +60,31 @@ async def test_it_answers_as_it_should(bench: Bench) -> None:
 
 
 async def test_the_wrong_baud_rate(bench: Bench) -> None:
-    assert await bench.told(bench.spindle(baud=19_200)) == (
-        "serial:PORT unit 1: no answer within 0.8 s at 19200 8N1; "
-        "see whether it has power, and this baud rate, parity and unit number"
+    assert await bench.message(bench.spindle(baud=19_200)) == (
+        "serial:PORT unit 1: no answer within 0.8 s at 19200 8N1. Check power, baud rate, parity and unit number."
     )
 
 
 async def test_the_wrong_parity(bench: Bench) -> None:
     bench.peer.silent = True  # a terminal has no parity: a device that hears none it understands is silent
-    assert "no answer within 0.8 s at 9600 8E1; see whether" in await bench.told(bench.spindle(parity="even"))
+    assert "no answer within 0.8 s at 9600 8E1" in await bench.message(bench.spindle(parity="even"))
 
 
 async def test_the_wrong_unit(bench: Bench) -> None:
-    said = await bench.told(bench.spindle(unit=7))
-    assert said.startswith("serial:PORT unit 7: no answer within 0.8 s at 9600 8N1; see whether it has power, and this")
+    said = await bench.message(bench.spindle(unit=7))
+    assert said.startswith("serial:PORT unit 7: no answer within 0.8 s at 9600 8N1.")
 
 
 async def test_bytes_that_are_no_answer(bench: Bench) -> None:
     bench.peer.filter = lambda data: [bytes(byte << 1 & 0xFF | 1 for byte in data)]
-    said = await bench.told(bench.spindle())
-    assert "bytes within 0.8 s at 9600 8N1 are no answer" in said
-    assert said.endswith("see whether baud rate, parity and stop bits are the device's")
+    said = await bench.message(bench.spindle())
+    assert "bytes within 0.8 s at 9600 8N1 are not an answer" in said
+    assert said.endswith("Check baud rate, parity and stop bits.")
 
 
 async def test_the_profile_of_another_device(bench: Bench) -> None:
     address = SerialLine(bench.wire.path, 9600)
-    said = await bench.told(build.actuator(shipped("voice_coil_modbus"), address))
+    said = await bench.message(build.actuator(shipped("voice_coil_modbus"), address))
     assert said == "serial:PORT unit 1: exception 2, address not known; is it another device?"
     assert not any(request[1] in {5, 6, 15, 16} for request in bench.peer.requests), "and nothing was written to it"
 
@@ -93,7 +92,7 @@ async def test_the_profile_of_another_device(bench: Bench) -> None:
 async def test_a_device_that_is_not_the_expected_one(bench: Bench) -> None:
     text = file_of("delta_ms300").read_text() + '\n[[expects]]\nwhen = "commanded"\nequals = [4242]\n'
     profile = device_profile_of(text, Path("mine.toml"))
-    said = await bench.told(build.spindle(profile, SerialLine(bench.wire.path, 9600)))
+    said = await bench.message(build.spindle(profile, SerialLine(bench.wire.path, 9600)))
     assert "another device answers: its commanded reads 0.0, which is not what profile 'mine' expects" in said
     assert not any(request[1] in {5, 6, 15, 16} for request in bench.peer.requests), "and nothing was written to it"
 
@@ -118,20 +117,20 @@ async def test_the_wrong_word_order(tmp_path: Path) -> None:
 async def test_a_port_that_is_open_elsewhere(bench: Bench) -> None:
     first = bench.spindle()
     await first.open()
-    said = await bench.told(bench.spindle())
-    assert said == "serial:PORT: another program has the port open; end it (lsof names it)"
+    said = await bench.message(bench.spindle())
+    assert said == "serial:PORT: another program has the port open. End that program (lsof names it)."
     await first.close()
 
 
 async def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     device = build.spindle(shipped("delta_ms300"), SerialLine(tmp_path / "none"))
-    with pytest.raises(LinkError, match=r"none: there is no such port; plug the adapter in, or mend the path$"):
+    with pytest.raises(LinkError, match="none: the port does not exist"):
         await device.open()
 
 
 async def test_a_path_that_is_no_port(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(LinkError, match="it is no serial port"):
+    with pytest.raises(LinkError, match="it is not a serial port"):
         await build.spindle(shipped("delta_ms300"), SerialLine(tmp_path / "file")).open()
 
 
@@ -140,9 +139,7 @@ async def test_a_port_that_may_not_be_opened(tmp_path: Path, monkeypatch: pytest
         raise PermissionError(13, "could not open port: Permission denied")
 
     monkeypatch.setattr(streams.serial, "Serial", type("Serial", (), {"__init__": forbidden, "close": None}))
-    with pytest.raises(
-        LinkError, match=r"no permission to open the port; add the user to the group .* \(often dialout"
-    ):
+    with pytest.raises(LinkError, match="no permission to open the port"):
         await build.spindle(shipped("delta_ms300"), SerialLine(tmp_path / "port")).open()
 
 
@@ -159,13 +156,13 @@ async def test_something_else_on_the_tcp_port() -> None:
     peer = ProfiledPeer(file_of("hitachi_wj200"), inverter, tcp=True)
     wire = await TcpWire(peer).start()
     peer.filter = lambda data: [b"HTTP/1.1 400 Bad Request\r\n\r\n"]
-    with pytest.raises(DeviceError, match="does not speak Modbus TCP"):
+    with pytest.raises(DeviceError, match="is not Modbus TCP"):
         await build.spindle(shipped("hitachi_wj200"), Tcp("127.0.0.1", wire.port)).open()
     await wire.close()
 
 
-async def test_nobody_on_the_tcp_port() -> None:
-    with pytest.raises(LinkError, match="nobody listens there; see the port"):
+async def test_a_closed_tcp_port() -> None:
+    with pytest.raises(LinkError, match="the port is closed"):
         await build.spindle(shipped("hitachi_wj200"), Tcp("127.0.0.1", 1)).open()
 
 
@@ -176,9 +173,9 @@ async def test_find_tells_the_settings_at_which_it_answers(bench: Bench) -> None
         (SerialLine(bench.wire.path, 9600), 3),
         (SerialLine(bench.wire.path, 9600), 1),
     ]
-    told: list[str] = []
-    found = await _try_all(profile, places, 0.3, told.append)
-    assert len(told) == 3
+    messages: list[str] = []
+    found = await _try_all(profile, places, 0.3, messages.append)
+    assert len(messages) == 3
     ((where, says),) = found
     assert where.endswith("port?baud=9600&parity=none&stop_bits=1, unit 1")
     assert says == "answers as profile 'delta_ms300' says"

@@ -20,7 +20,7 @@ from tests.vectors import vectors
 MODBUS, LINES = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
 CONTACT = ActuatorReading("contact", 11.98, 12.0, 5.0, 0, "")
 (LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
-(TOLD,) = codec.blocks(MODBUS.registers, MODBUS.told, 125)
+(IDENTITY,) = codec.blocks(MODBUS.registers, MODBUS.identity_values, 125)
 
 
 def reading(words: Sequence[int]) -> ActuatorReading:
@@ -33,7 +33,7 @@ def status(answer: str) -> ActuatorReading:
 
 def test_one_request_reads_all_that_changes() -> None:
     assert (LIVE.table, LIVE.address, LIVE.count) == ("input", 0, 6)
-    assert (TOLD.table, TOLD.address, TOLD.count) == ("input", 100, 30)
+    assert (IDENTITY.table, IDENTITY.address, IDENTITY.count) == ("input", 100, 30)
 
 
 def test_modbus_vectors_give_the_reading() -> None:
@@ -68,13 +68,13 @@ def test_identity_registers_are_read() -> None:
     coil = Coil()
     coil.boots = 0x1_0002
     table = ModbusCoil(coil, rtu=True).registers()
-    values = codec.values_of(MODBUS, TOLD, [table[TOLD.address + at] for at in range(TOLD.count)])
+    values = codec.values_of(MODBUS, IDENTITY, [table[IDENTITY.address + at] for at in range(IDENTITY.count)])
     assert codec.identity(MODBUS, values) == DeviceIdentity("Fake Coils", "FC-50", "SN-0042", "1.2", boot_id="65538")
 
 
 def test_identity_of_other_bytes_is_a_protocol_error() -> None:
     with pytest.raises(ProtocolError, match="ASCII"):
-        codec.values_of(MODBUS, TOLD, [0xFFFF] * 30)
+        codec.values_of(MODBUS, IDENTITY, [0xFFFF] * 30)
 
 
 def test_ascii_vectors() -> None:

@@ -129,7 +129,7 @@ async def test_a_wrong_echo_is_a_protocol_error(rig: Rig, echo: bytes) -> None:
 async def test_a_stale_heartbeat_is_a_protocol_error(rig: Rig) -> None:
     await rig.wire.order("heartbeat")
     rig.coil.heartbeat = 60_000
-    with pytest.raises(ProtocolError, match="heard heartbeat 60000"):
+    with pytest.raises(ProtocolError, match="heartbeat echo 60000"):
         await rig.wire.read(POLLED)
     assert not rig.wire.connected
 

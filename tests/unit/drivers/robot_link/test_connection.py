@@ -170,14 +170,14 @@ def test_another_programs_records_are_not_mixed(change: dict[str, Any]) -> None:
 
 def test_lost_records_end_the_link() -> None:
     session = loaded()
-    with pytest.raises(LinkError, match="lost on the wire"):
+    with pytest.raises(LinkError, match="lost on the link"):
         session.receive(executed(0, 2))
     assert session.record[0] == ExecutedBlock(0, 0.0, 0.5)
 
 
 def test_a_restart_ends_the_link() -> None:
     session = loaded()
-    with pytest.raises(LinkError, match="started anew"):
+    with pytest.raises(LinkError, match="has restarted"):
         session.receive(wire.frame(wire.STATUS, status(boot_id="b2")))
 
 

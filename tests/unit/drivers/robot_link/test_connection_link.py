@@ -241,7 +241,7 @@ async def test_lost_records_end_the_link_and_come_after_a_reconnect(pair: Pair) 
 
     fake.outgoing = lossy
     await robot.resume()
-    with pytest.raises(LinkError, match="lost on the wire"):
+    with pytest.raises(LinkError, match="lost on the link"):
         await collect(robot, [])
     await robot.open()
     while fake.state == "running":  # noqa: ASYNC110

@@ -55,7 +55,7 @@ async def test_a_robot_that_does_not_stop_is_a_fault(pair: Pair, monkeypatch: py
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:30])
     await robot.resume()
-    with pytest.raises(DeviceFault, match="goes on running"):
+    with pytest.raises(DeviceFault, match="still runs"):
         await robot.hold()
 
 

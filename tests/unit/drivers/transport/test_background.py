@@ -1,4 +1,4 @@
-"""Owned work: its failure reaches everybody who waits, and nothing outlives its stop."""
+"""Owned work: its failure reaches all waiting calls, and nothing outlives its stop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.patience import SOON_S
 
 
 class Work:
-    """Goes on until it is told to fail."""
+    """Runs until ``fail`` is set."""
 
     def __init__(self) -> None:
         self.fail = asyncio.Event()
@@ -31,7 +31,7 @@ class Work:
 
     async def _failing(self) -> None:
         await self.fail.wait()
-        raise ProtocolError("told to")
+        raise ProtocolError("on request")
 
 
 async def test_all_who_wait_hear_of_the_failure() -> None:
@@ -47,11 +47,11 @@ async def test_all_who_wait_hear_of_the_failure() -> None:
     await asyncio.sleep(0)
     work.fail.set()
     errors = await waiting
-    assert [str(error) for error in errors] == ["told to"] * 3
+    assert [str(error) for error in errors] == ["on request"] * 3
     assert len({id(error) for error in errors}) == 3
     assert all(isinstance(error, ProtocolError) for error in errors)
     assert not background.alive
-    with pytest.raises(ProtocolError, match="told to"):
+    with pytest.raises(ProtocolError, match="on request"):
         background.check()
     await background.stop()
 

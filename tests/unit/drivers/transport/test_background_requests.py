@@ -1,4 +1,4 @@
-"""The request queue: one at a time, urgent first, and a cancelled caller's answer is nobody else's."""
+"""The request queue: one at a time, urgent first, and the answer to a cancelled caller is dropped."""
 
 from __future__ import annotations
 

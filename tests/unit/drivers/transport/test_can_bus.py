@@ -12,24 +12,24 @@ from polishd.drivers.transport.can_bus import CanBus
 class Garbled(can.BusABC):
     """As python-can's socketcand does: the traceback is part of what it says."""
 
-    def __init__(self, told: str) -> None:
+    def __init__(self, message: str) -> None:
         super().__init__(channel="can0")
-        self._told = told
+        self._message = message
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
             bytes.fromhex("0x")
         except ValueError as error:
-            raise can.CanOperationError(self._told.format(error)) from error
+            raise can.CanOperationError(self._message.format(error)) from error
         raise AssertionError
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Into the void."""
 
 
-@pytest.mark.parametrize("told", ["Failed to receive: {}  Traceback (most recent call last):\n  File x\n", "Failed"])
-async def test_a_frame_that_cannot_be_read_is_told_in_one_line_with_its_cause(told: str) -> None:
-    bus = Garbled(told)
+@pytest.mark.parametrize("message", ["Failed to receive: {}  Traceback (most recent call last):\n  File x\n", "Failed"])
+async def test_a_frame_that_cannot_be_read_is_reported_in_one_line_with_its_cause(message: str) -> None:
+    bus = Garbled(message)
     with pytest.raises(LinkError) as raised:
         await CanBus("can://here", bus).receive(lambda _: None)
     bus.shutdown()

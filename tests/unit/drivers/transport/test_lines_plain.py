@@ -14,7 +14,7 @@ from tests.patience import SOON_S
 
 
 class Echo(Peer):
-    """Answers a line by itself, once it is let."""
+    """Answers a line once it is allowed to."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -59,7 +59,7 @@ async def link() -> AsyncIterator[Link]:
 
 async def until_asked(echo: Echo, line: str) -> None:
     async with asyncio.timeout(SOON_S):
-        while line not in echo.asked:  # noqa: ASYNC110 -- the fake tells nobody
+        while line not in echo.asked:  # noqa: ASYNC110 -- the fake sends no event
             await asyncio.sleep(0)
 
 

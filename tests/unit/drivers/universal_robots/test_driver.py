@@ -80,7 +80,7 @@ async def run(rig: Rig, blocks: int = 3) -> None:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    while not condition():  # noqa: ASYNC110 -- the machine tells nobody
+    while not condition():  # noqa: ASYNC110 -- the machine sends no event
         await asyncio.sleep(0.005)
 
 
@@ -119,7 +119,7 @@ async def test_what_happens_at_the_controller_is_told_at_once_and_ends_with_a_ro
 
 
 async def test_a_robot_slowed_down_goes_on_until_it_is_told_to_stop(rig: Rig) -> None:
-    """The tool is still on the part when this is told: it must not stand there."""
+    """The tool is still on the part at this report: it must not stand still there."""
     await run(rig)
     rig.machine.slider = 0.5
     with pytest.raises(DeviceFault, match="slider"):
@@ -179,7 +179,7 @@ async def test_a_link_that_comes_back_in_time_has_lost_no_block_and_moves_nothin
     assert [one.seq for one in found] == list(range(6))
     assert all(one.end_s > one.start_s for one in found)
     await asyncio.sleep(0.2)
-    assert not rig.machine.active, "it waits where it was told to"
+    assert not rig.machine.active, "it waits at the given block"
     assert rig.machine.runtime == m.PLAYING
     await rig.robot.resume()
     assert len(await executed(rig.robot)) == STEPS
@@ -376,6 +376,6 @@ async def test_times_are_the_controllers_own_within_a_sample(rig: Rig) -> None:
     await rig.robot.resume()
     found = await executed(rig.robot, 16)
     was = [sum(row[3] for row in rig.machine.rows if row[0] == seq) for seq in range(16)]
-    told = [one.end_s - one.start_s for one in found]
-    assert told == pytest.approx(was, abs=0.0085)
-    assert sum(told) == pytest.approx(sum(was), abs=0.0165)
+    measured = [one.end_s - one.start_s for one in found]
+    assert measured == pytest.approx(was, abs=0.0085)
+    assert sum(measured) == pytest.approx(sum(was), abs=0.0165)

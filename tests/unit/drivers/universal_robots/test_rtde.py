@@ -123,7 +123,7 @@ def test_answers_are_read() -> None:
 
 
 def test_both_sides_pack_types_alike() -> None:
-    """The simulator has a codec of its own."""
+    """The simulator has a separate codec."""
     assert fields.FORMATS == FORMATS
     assert {fields.OUTPUTS[name] for name in fields.OUTPUTS} <= set(FORMATS)
 

@@ -28,16 +28,16 @@ DEVICE = LinkDirection("", "numbered lines", "to_device")
 
 
 class Bench:
-    """The script of an actuator, and what it tells."""
+    """The script of an actuator, and its events."""
 
     def __init__(self, *faults: dict[str, Any], device: str = "actuator") -> None:
-        self.told: list[tuple[str, Any]] = []
-        self.script = FaultScript(device, 1, self.tell)
+        self.reported: list[tuple[str, Any]] = []
+        self.script = FaultScript(device, 1, self.log_event)
         made = [FaultSection.model_validate({"device": device, **fault}) for fault in faults]
         self.script.set(made, now_s=0.0)
 
-    def tell(self, event: str, **data: Any) -> None:
-        self.told.append((event, data["what"]))
+    def log_event(self, event: str, **data: Any) -> None:
+        self.reported.append((event, data["what"]))
 
     def at(self, now_s: float, frame: bytes = b"abcd", way: LinkDirection = HOST) -> FrameAction:
         """What becomes of a frame."""
@@ -56,7 +56,7 @@ def test_rates_are_kept_and_each_blow_is_told() -> None:
     assert sum(not fate.data for fate in fates) == pytest.approx(800, rel=0.15)
     assert sum(fate.data not in {b"", b"abcd"} for fate in fates) == pytest.approx(320, rel=0.2)
     assert sum(fate.delay_s == 1.0 for fate in fates) == pytest.approx(1200, rel=0.15)
-    assert bench.told.count(("fault_acts", "drop")) == sum(not fate.data for fate in fates)
+    assert bench.reported.count(("fault_acts", "drop")) == sum(not fate.data for fate in fates)
 
 
 def test_damage_is_one_bit() -> None:
@@ -74,7 +74,7 @@ def test_the_same_seed_gives_the_same_mischief_whatever_else_is_scripted() -> No
 def test_a_frame_is_struck_at_a_time_or_by_its_number_once() -> None:
     at_s = Bench({"what": "drop", "at_s": 3.0})
     assert [bool(at_s.at(now_s).data) for now_s in (1.0, 2.9, 3.1, 3.2)] == [True, True, False, True]
-    assert at_s.told == [("fault_acts", "drop")]
+    assert at_s.reported == [("fault_acts", "drop")]
     third = Bench({"what": "duplicate", "frame": 3})
     assert third.at(0.0, way=DEVICE).copies == 1, "of the other direction"
     assert [third.at(0.0).copies for _ in range(5)] == [1, 1, 2, 1, 1]
@@ -84,7 +84,7 @@ def test_a_fault_goes_on_for_its_time_and_comes_again() -> None:
     bench = Bench({"what": "drop", "every_s": 5.0, "duration_s": 1.0})
     lost = [now_s for now_s in range(18) if not bench.at(float(now_s)).data]
     assert lost == [5, 11, 17]
-    assert bench.told[:2] == [("fault_begins", "drop"), ("fault_ends", "drop")]
+    assert bench.reported[:2] == [("fault_begins", "drop"), ("fault_ends", "drop")]
     shared = Bench({"what": "drop", "rate": 1.0, "at_s": 2.0, "duration_s": 1.0})
     assert [bool(shared.at(now_s).data) for now_s in (1.0, 2.5, 3.5)] == [True, False, True]
 
@@ -98,7 +98,7 @@ def test_one_that_hangs_neither_hears_nor_speaks() -> None:
     bench = Bench({"what": "hang", "at_s": 1.0, "duration_s": 2.0})
     lost = [[not bench.at(now_s, way=way).data for way in (HOST, DEVICE)] for now_s in (0.5, 1.5, 3.5)]
     assert lost == [[False, False], [True, True], [False, False]]
-    assert [event for event, _ in bench.told] == ["fault_begins", "fault_ends"]
+    assert [event for event, _ in bench.reported] == ["fault_begins", "fault_ends"]
 
 
 def test_faults_add_up() -> None:
@@ -150,7 +150,7 @@ def test_a_file_that_was_read_again_ends_what_acted() -> None:
     bench.script.look(0.1)
     bench.script.set([], 0.2)
     bench.script.look(0.3)
-    assert [event for event, _ in bench.told] == ["fault_begins", "fault_ends"]
+    assert [event for event, _ in bench.reported] == ["fault_begins", "fault_ends"]
 
 
 ACK = framing.pack_json(framing.ACK, {"of": framing.RESUME, "status": {}})
@@ -181,7 +181,7 @@ def test_a_forged_reply_is_sound_in_its_protocol(case: str) -> None:
     for reply, forged in REPLIES[case]:
         bench = Bench({"what": what, "frame": 1})
         assert bench.at(0.0, reply, LinkDirection("", protocol, "to_host")).data == (forged or reply)
-        assert bench.told == ([("fault_acts", what)] if forged else []), "it waits for one that it can be made of"
+        assert bench.reported == ([("fault_acts", what)] if forged else []), "it waits for one that it can be made of"
 
 
 def test_an_order_that_was_done_is_said_to_be_refused() -> None:
@@ -291,8 +291,8 @@ async def test_bus_frames_round_trip() -> None:
     assert await runtime.read_frame(reader) is None
 
 
-def told(tmp_path: Path, text: str) -> list[str]:
-    """What is said of a SIM.toml."""
+def reported(tmp_path: Path, text: str) -> list[str]:
+    """Problems of a SIM.toml."""
     path = tmp_path / "sim.toml"
     path.write_text(text)
     with pytest.raises(ConfigError) as caught:
@@ -304,7 +304,7 @@ def told(tmp_path: Path, text: str) -> list[str]:
     ("text", "where"), [("[plant]\nsped = 1", "plant.sped"), ("[plant]\nspeed = 0", "plant.speed")]
 )
 def test_a_wrong_key_or_value_is_named(tmp_path: Path, text: str, where: str) -> None:
-    assert where in told(tmp_path, text)[0]
+    assert where in reported(tmp_path, text)[0]
 
 
 SENSELESS = {
@@ -338,7 +338,7 @@ SENSELESS = {
 
 @pytest.mark.parametrize("text", SENSELESS)
 def test_a_fault_that_makes_no_sense_is_refused_by_name_with_its_line(tmp_path: Path, text: str) -> None:
-    (said,) = told(tmp_path, f"[[fault]]\n{text}\n")
+    (said,) = reported(tmp_path, f"[[fault]]\n{text}\n")
     assert said.startswith(SENSELESS[text]), said
 
 

@@ -124,16 +124,16 @@ def test_the_robot_link_reports_its_override_in_each_status() -> None:
     bench.controller.motion.set_pace(bench.now, 0.5)
     bench.controller.motion.reported_pace = 0.5
     bench.until(1.0, client)
-    told = [json.loads(payload) for kind, payload in got if kind == f.STATUS]
-    assert {one["override"] for one in told if one["state"] == "running"} == {0.5}
-    assert 3 <= told[-1]["executed"] <= 6, "10 mm/s, halved, for 1 s, a millimetre a block"
+    reported = [json.loads(payload) for kind, payload in got if kind == f.STATUS]
+    assert {one["override"] for one in reported if one["state"] == "running"} == {0.5}
+    assert 3 <= reported[-1]["executed"] <= 6, "10 mm/s, halved, for 1 s, a millimetre a block"
 
 
 def test_a_plc_shows_its_feed_override_over_all_its_links(tmp_path: Path) -> None:
     plc = FakePlc(tmp_path).plc
     plc.motion.reported_pace = 0.5
     plc.tick(time.monotonic() + 1.0)
-    assert plc.shown["feed_override"] == 50.0, "OPC UA tells what is shown"
+    assert plc.shown["feed_override"] == 50.0, "OPC UA reports the shown value"
     register = ModbusServer(plc).answer(bytes([4]) + struct.pack(">HH", 18, 1))
     assert register == bytes([4, 2, 0, 50])
     at = list(servers.KINDS).index("feed_override") * servers.STRING_BYTES
@@ -173,7 +173,7 @@ def test_universal_robots_stands_in_a_move_and_in_a_wait_and_plays_on() -> None:
             found.frame()
         assert found.arm.place.xyz_mm == place
         assert (found.runtime, rtde.value(found, "target_speed_fraction")) == (2, 1.0)
-        assert len(found.rows) - rows == 1000, "the plant is told where it stands"
+        assert len(found.rows) - rows == 1000, "the plant gets its position"
         found.override.suffer(stand, False)
         for _ in range(1000):
             found.frame()
@@ -235,14 +235,14 @@ def test_nothing_before_the_first_wrong_moment_counts() -> None:
     plant.integrate(math.inf)
     pit = plant.account.pit
     assert pit is not None
-    told = pit.report(plant.part)
-    assert (told["from_s"], told["contact_s"]) == (0.5, pytest.approx(0.5))
+    reported = pit.report(plant.part)
+    assert (reported["from_s"], reported["contact_s"]) == (0.5, pytest.approx(0.5))
     whole = float((plant.part.start_nm - plant.part.height_nm).max())
-    assert told["peak_nm"] == pytest.approx(whole / 2.0, rel=0.01)
-    assert told["part_nm"] == told["peak_nm"], "the tool stands on the part"
-    assert told["planned_nm"] == pytest.approx(whole / 2.0, rel=0.01)
+    assert reported["peak_nm"] == pytest.approx(whole / 2.0, rel=0.01)
+    assert reported["part_nm"] == reported["peak_nm"], "the tool stands on the part"
+    assert reported["planned_nm"] == pytest.approx(whole / 2.0, rel=0.01)
     row, column = np.unravel_index(int(pit.excess_nm.argmax()), pit.excess_nm.shape)
-    assert told["at_mm"] == [plant.part.grid.x_mm[column], plant.part.grid.y_mm[row]]
+    assert reported["at_mm"] == [plant.part.grid.x_mm[column], plant.part.grid.y_mm[row]]
 
 
 def pressed(force_n: float = 12.0) -> World:

@@ -198,8 +198,8 @@ def test_controller_and_plant_reach_the_same_poses_of_a_random_arm(seed: int) ->
 @pytest.mark.full
 def test_controller_and_plant_judge_200_random_arms_alike() -> None:
     """Each part as a whole, and of 28,800 poses all but a few beside a singular one."""
-    told = [_both(seed) for seed in range(200)]
-    whole = [(bool(theirs.all()), bool(ours.all())) for theirs, ours in told]
+    reported = [_both(seed) for seed in range(200)]
+    whole = [(bool(theirs.all()), bool(ours.all())) for theirs, ours in reported]
     assert [seed for seed, (theirs, ours) in enumerate(whole) if theirs != ours] == []
     assert 60 < sum(theirs for theirs, _ in whole) < 140
-    assert sum(int((theirs != ours).sum()) for theirs, ours in told) <= 5
+    assert sum(int((theirs != ours).sum()) for theirs, ours in reported) <= 5

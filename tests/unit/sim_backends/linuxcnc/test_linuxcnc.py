@@ -1,4 +1,4 @@
-"""The simulated LinuxCNC cell: its configuration, its samples, and the gate that holds motion when nobody is heard."""
+"""The simulated LinuxCNC cell: its configuration, its samples, and the gate that holds motion when no client sends."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_it_moves_while_a_program_runs_and_until_it_stands() -> None:
     sampled.feed(sample(0.0, 3, 1, 0, 1) * STILL_SAMPLES, 5.0)
     assert not sampled.moving, "and so is the gate's hold"
     sampled.feed(sample(0.1), 6.0)
-    assert sampled.moving, "somebody jogs"
+    assert sampled.moving, "an operator jogs"
 
 
 def test_a_dwell_is_a_rest_within_the_program_and_is_booked_with_the_move_before_it() -> None:
@@ -129,12 +129,12 @@ def test_a_program_file_is_known_without_what_the_driver_put_between(tmp_path: P
 
 def test_the_watchdog_wakes_with_a_client_holds_without_and_lets_go_when_the_program_is_over() -> None:
     dog = HalWatchdog(silent_s=1.0)
-    assert not dog.look(0.0, idle=False), "a program that nobody watched from afar is the operator's"
+    assert not dog.look(0.0, idle=False), "a program without a remote client is the operator's"
     assert not dog.look(9.0, idle=False)
-    dog.heard_s = 10.0
+    dog.client_s = 10.0
     assert not dog.look(10.5, idle=False)
     assert dog.look(11.1, idle=False)
-    dog.heard_s = 12.0
+    dog.client_s = 12.0
     assert dog.look(12.1, idle=False), "a client that is back moves nothing"
     assert not dog.look(12.2, idle=True)
     assert not dog.look(99.0, idle=True)
@@ -165,11 +165,11 @@ def test_the_gate_passes_bytes_both_ways_and_hears_clients_only(served: tuple[Ga
             behind.sendall(b"unasked\r\n")
             turn(gate)
             assert client.recv(99) == b"unasked\r\n"
-            assert gate.watchdog.heard_s == float("-inf"), "a server that talks is no client that lives"
+            assert gate.watchdog.client_s == float("-inf"), "a server that talks is no client that lives"
             client.sendall(b"get time\r\n")
             turn(gate)
             assert behind.recv(99) == b"get time\r\n"
-            assert gate.watchdog.heard_s > 0.0
+            assert gate.watchdog.client_s > 0.0
             client.close()
             turn(gate)
             assert behind.recv(99) == b"", "and hangs up with it"
@@ -178,7 +178,7 @@ def test_the_gate_passes_bytes_both_ways_and_hears_clients_only(served: tuple[Ga
 def test_the_gate_refuses_control_to_a_second_client_while_the_first_lives(
     served: tuple[Gate, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """linuxcncrsh itself would let it take over, and tell nobody."""
+    """linuxcncrsh itself would let it take over without a report."""
     gate, server_side = served
     now_s = 100.0
     monkeypatch.setattr(gate_module.time, "monotonic", lambda: now_s)
@@ -213,7 +213,7 @@ def test_the_gate_refuses_control_to_a_second_client_while_the_first_lives(
     assert asks(second, behind_second, enable) == enable, "the first was silent for as long as the watchdog allows"
     behind_second.sendall(b"SET ENABLE NAK\r\n")
     turn(gate)
-    assert asks(first, behind_first, enable) == enable, "a wrong password gives nobody control"
+    assert asks(first, behind_first, enable) == enable, "a wrong password gives no control"
     assert asks(first, behind_first, b"set enable off\r\n")
     assert asks(second, behind_second, enable) == enable
     second.close()
@@ -223,9 +223,9 @@ def test_the_gate_refuses_control_to_a_second_client_while_the_first_lives(
         end.close()
 
 
-def test_the_gate_hangs_up_where_nobody_is_behind() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as nobody:
-        port = nobody.getsockname()[1]
+def test_the_gate_hangs_up_without_a_server_behind() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
     gate = Gate(("127.0.0.1", 0), ("127.0.0.1", port), HalWatchdog(1.0))
     with socket.create_connection(("127.0.0.1", gate.port), timeout=SOON_S) as client:
         turn(gate)

@@ -93,7 +93,7 @@ def test_a_cell_is_its_mean(centre: tuple[float, float], stretch: FloatArray) ->
     lever = np.stack([along[0], along[1], np.full(along[0].shape, DEPTH[0] - TOOL.tool_radius_mm)], axis=-1)
     speed = np.linalg.norm(np.cross(AXIS[0], lever)[..., :2], axis=-1)
     mean = (pressure * speed).reshape(grid.ny, 61, grid.nx, 61).mean(axis=(1, 3))
-    expected = mean * (removal.sum() / mean.sum())  # the volume has a test of its own
+    expected = mean * (removal.sum() / mean.sum())  # another test checks the volume
     assert np.abs(removal - expected).max() < 4e-3 * removal.max()
 
 

@@ -82,7 +82,7 @@ def polished(made: BatchPlant) -> tuple[BatchPlant, FloatArray, FloatArray]:
     ends = np.column_stack([x, 0.0 * x, 0.0 * x])
     one = np.ones(40)
     lean = np.tile([0.0, -np.sin(np.radians(15.0)), np.cos(np.radians(15.0))], (40, 1))
-    told = made.polish(
+    reported = made.polish(
         {
             "begin_mm": ends[:-1],
             "end_mm": ends[1:],
@@ -92,13 +92,13 @@ def polished(made: BatchPlant) -> tuple[BatchPlant, FloatArray, FloatArray]:
             "rpm": 1000.0 * one,
         }
     )
-    return made, before - made.world.part.height_nm, told["force_n"]
+    return made, before - made.world.part.height_nm, reported["force_n"]
 
 
 def test_up_a_tilted_part_the_true_force_is_another_than_the_measured_one() -> None:
     made, lagging, measured = track(force_lag_s=0.01)
     _, follows, same = track()
-    assert np.array_equal(measured, same), "the coil tells what it exerts"
+    assert np.array_equal(measured, same), "the coil reports its force"
     column = made.world.part.grid.x_mm
     middle = np.abs(column) < 5.0
     ratio = lagging[:, middle].sum() / follows[:, middle].sum()

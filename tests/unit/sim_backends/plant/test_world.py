@@ -280,6 +280,6 @@ def test_what_leaving_contact_costs_is_booked_from_the_mark_on() -> None:
     plant.integrate(math.inf)
     way_out = plant.account.way_out
     assert way_out is not None
-    told = way_out.report()
-    assert (told["standing_s"], told["contact_s"]) == (pytest.approx(0.5, abs=0.03), pytest.approx(0.5, abs=0.03))
-    assert told["standing_peak_nm"] == told["peak_nm"] == pytest.approx(-plant.part.height_nm.min() / 3, rel=0.05)
+    costs = way_out.report()
+    assert (costs["standing_s"], costs["contact_s"]) == (pytest.approx(0.5, abs=0.03), pytest.approx(0.5, abs=0.03))
+    assert costs["standing_peak_nm"] == costs["peak_nm"] == pytest.approx(-plant.part.height_nm.min() / 3, rel=0.05)

@@ -32,7 +32,7 @@ def test_blocks_are_booked_on_the_program_they_belong_to() -> None:
     book.load("b", 2)
     book.dwell("a", np.array([0.0]), np.array([1.0]))
     book.dwell("b", np.array([1.0]), np.array([4.0]))
-    book.dwell("nobody's", np.array([0.0]), np.array([9.0]))
+    book.dwell("unknown", np.array([0.0]), np.array([9.0]))
     assert book.programs["a"].tolist() == [1.0, 0.75, 0.0, 2.0]
     assert book.programs["b"].tolist() == [0.0, 4.0]
 
@@ -64,11 +64,11 @@ def test_it_is_written_whole_beside_the_truth(tmp_path: Path) -> None:
     book.load("a", 3)
     book.dwell("a", np.array([2.0]), np.array([1.5]))
     book.write(tmp_path, part, 42.0, 7.0)
-    told = json.loads((tmp_path / "dwell_account.json").read_text())
-    assert told["programs"] == [{"sha256": "a", "blocks": 3, "loads": 1, "contact_s": [0.0, 0.0, 1.5]}]
-    assert (told["process_s"], told["until_s"]) == (42.0, 7.0)
-    assert told["rms_nm"] == pytest.approx(SMALL.plant.rms_nm), "a piston is no figure"
-    truth = np.load(tmp_path / told["truth"])
+    reported = json.loads((tmp_path / "dwell_account.json").read_text())
+    assert reported["programs"] == [{"sha256": "a", "blocks": 3, "loads": 1, "contact_s": [0.0, 0.0, 1.5]}]
+    assert (reported["process_s"], reported["until_s"]) == (42.0, 7.0)
+    assert reported["rms_nm"] == pytest.approx(SMALL.plant.rms_nm), "a piston is no figure"
+    truth = np.load(tmp_path / reported["truth"])
     np.testing.assert_allclose(truth["start_nm"] - truth["height_nm"], 5.0)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dwell_account.json", "truth.npz"]
 
@@ -76,7 +76,7 @@ def test_it_is_written_whole_beside_the_truth(tmp_path: Path) -> None:
 async def until(condition: Callable[[], object]) -> None:
     """Wait until it is so."""
     async with asyncio.timeout(SOON_S):
-        while not condition():  # noqa: ASYNC110 -- nobody tells
+        while not condition():  # noqa: ASYNC110 -- no event exists
             await asyncio.sleep(0.005)
 
 
@@ -93,7 +93,7 @@ class Writer:
     def close(self) -> None:
         """Nothing to close."""
 
-    def told(self, key: str) -> list[Any]:
+    def reported(self, key: str) -> list[Any]:
         """Values of that key in all JSON frames."""
         frames = [json.loads(data[5:]) for data in self.said if data[4] == 0]
         return [frame[key] for frame in frames if key in frame]
@@ -140,16 +140,16 @@ def test_a_part_that_is_taken_off_stays_to_be_seen_and_the_file_says_what_the_ne
 def test_a_device_is_told_where_things_are(server: PlantServer) -> None:
     now = time.monotonic()
     robot, actuator = arrive(server, "robot", now), arrive(server, "actuator", now)
-    assert robot.told("pose") == [list(SMALL.robot.home)]
-    assert robot.told("pitch_mm") == [0.5]
-    assert actuator.told("touch_um") == [None]
+    assert robot.reported("pose") == [list(SMALL.robot.home)]
+    assert robot.reported("pitch_mm") == [0.5]
+    assert actuator.reported("touch_um") == [None]
     server._hear("robot", {"mark": now + 0.1, "pose": [0.0, 0.0, 0.0, 15.0, 0.0]})
-    server._tell_touch()
-    server._tell_touch()
-    assert actuator.told("touch_um") == [None, 5000.0], "once for each change"
+    server._send_touch()
+    server._send_touch()
+    assert actuator.reported("touch_um") == [None, 5000.0], "once for each change"
     server._hear("robot", {"mark": now + 0.2, "pose": [0.0, 0.0, 9.0, 15.0, 0.0]})
-    server._tell_touch()
-    assert actuator.told("touch_um") == [None, 5000.0, None]
+    server._send_touch()
+    assert actuator.reported("touch_um") == [None, 5000.0, None]
 
 
 def test_a_measurement_waits_for_the_tool_and_the_robot(server: PlantServer) -> None:
@@ -181,7 +181,7 @@ def test_a_device_that_is_lost_exerts_nothing_from_then_on(server: PlantServer) 
     server._hear("actuator", {"samples": [[now - 0.9, 12.0]], "mark": now - 0.5})
     assert server.world.force.at(np.array([now - 0.6])).tolist() == [12.0]
     server._leave("actuator")
-    assert server.world.force.mark_s == math.inf, "nobody holds the plant up any more"
+    assert server.world.force.mark_s == math.inf, "no device delays the plant any more"
     assert server.world.force.at(np.array([time.monotonic() + 1.0])).tolist() == [0.0]
     server.finish()
     log = (server.start.state / "sim.log").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""The simulated PLC: orders by edges and levels, what it shows, and what it does by itself."""
+"""The simulated PLC: orders by edges and levels, its outputs, and its automatic reactions."""
 
 from __future__ import annotations
 
@@ -93,10 +93,10 @@ def test_it_tells_when_its_line_began(bench: Bench) -> None:
     bench.pulse("start")
     bench.until(lambda: bench.plc.shown["line"] == 2)
     seq, _, end_s = bench.plc.motion.executed[0]
-    told = bench.plc.shown["line_began"]
-    assert isinstance(told, float)
+    reported = bench.plc.shown["line_began"]
+    assert isinstance(reported, float)
     assert seq == 0
-    assert told - bench.plc.motion.changed_s == pytest.approx(end_s - 0.0, abs=1e-6)
+    assert reported - bench.plc.motion.changed_s == pytest.approx(end_s - 0.0, abs=1e-6)
     bench.until(lambda: bench.state == PAUSED)
     assert bench.plc.shown["line_began"] == pytest.approx(bench.plc.shown["state_began"], abs=0.02)
 
@@ -215,7 +215,7 @@ def test_a_long_program_is_loaded_while_the_controller_goes_on(bench: Bench) -> 
     bench.plc.inputs["start"] = False
     bench.run(0.2)
     assert bench.state == READY
-    assert beats[-1] - beats[0] == 2, "it tells ten times a second"
+    assert beats[-1] - beats[0] == 2, "it reports ten times a second"
     assert bench.plc.motion.accepted == 30 * LINES_A_CYCLE + 1
     assert bench.events.count("program_loaded") == 2
 

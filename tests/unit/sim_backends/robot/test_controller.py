@@ -282,5 +282,5 @@ def test_a_stop_is_told_though_telling_of_the_start_lets_time_pass() -> None:
     controller.report = slowly
     bench.resume(client)
     bench.until(0.2)
-    told = [name for name, _ in log if name.startswith("motion")]
-    assert (controller.motion.state, told) == ("done", ["motion_started", "motion_stopped"])
+    reported = [name for name, _ in log if name.startswith("motion")]
+    assert (controller.motion.state, reported) == ("done", ["motion_started", "motion_stopped"])

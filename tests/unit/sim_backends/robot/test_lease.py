@@ -13,7 +13,7 @@ def lease_of(got: list[tuple[int, bytes]]) -> str:
     return str(last(got, f.WELCOME)["lease"])
 
 
-def nobody() -> Client:
+def new_client() -> Client:
     return Client(lambda frame: None)
 
 
@@ -22,11 +22,11 @@ def take(lease: Lease, client: Client, name: str, now_s: float, *, standing: boo
 
 
 def test_a_lease_lasts_as_long_as_its_writer_is_heard() -> None:
-    lease, writer, other = Lease(1.0), nobody(), nobody()
+    lease, writer, other = Lease(1.0), new_client(), new_client()
     assert take(lease, writer, "", 10.0)
     assert not take(lease, other, "", 11.0)
-    lease.heard(writer, 11.0)
-    lease.heard(other, 11.5)
+    lease.renew(writer, 11.0)
+    lease.renew(other, 11.5)
     assert lease.silent_s(11.5) == 0.5
     assert not take(lease, other, "", 12.0)
     assert take(lease, other, "", 12.01)
@@ -36,22 +36,22 @@ def test_a_lease_lasts_as_long_as_its_writer_is_heard() -> None:
 def test_a_lease_is_named_anew_for_each_writer_and_kept_by_who_comes_back() -> None:
     lease, names = Lease(1.0), []
     for now_s in (0.0, 5.0):
-        assert take(lease, nobody(), "", now_s)
+        assert take(lease, new_client(), "", now_s)
         names.append(lease.name)
     assert len(set(names)) == 2
-    assert take(lease, nobody(), names[1], 5.0)
+    assert take(lease, new_client(), names[1], 5.0)
     assert lease.name == names[1]
-    assert not take(lease, nobody(), names[0], 5.0), "an old one is worth nothing"
+    assert not take(lease, new_client(), names[0], 5.0), "an old one is worth nothing"
 
 
 def test_where_the_robot_stands_nobody_waits_for_a_writer_whose_connection_ended() -> None:
-    lease, writer = Lease(1.0), nobody()
+    lease, writer = Lease(1.0), new_client()
     take(lease, writer, "", 0.0)
-    lease.leave(nobody())
-    assert not take(lease, nobody(), "", 0.1, standing=True), "it is still there"
+    lease.leave(new_client())
+    assert not take(lease, new_client(), "", 0.1, standing=True), "it is still there"
     lease.leave(writer)
-    assert not take(lease, nobody(), "", 0.2, standing=False), "it has time to come back"
-    assert take(lease, nobody(), "", 0.2, standing=True)
+    assert not take(lease, new_client(), "", 0.2, standing=False), "it has time to come back"
+    assert take(lease, new_client(), "", 0.2, standing=True)
 
 
 def test_a_half_dead_connection_is_followed_by_its_own_writer_at_once() -> None:
@@ -232,8 +232,8 @@ def test_who_is_slow_to_take_records_gets_them_later_and_delays_nobody() -> None
 def test_nobody_is_asked_to_send_again_for_the_noise_of_a_reader() -> None:
     bench = Bench()
     _, got = bench.loaded(LINES[:5])
-    reader, heard = bench.client("reader")
+    reader, renew = bench.client("reader")
     got.clear()
-    heard.clear()
+    renew.clear()
     bench.controller.on_broken(reader)
-    assert got == heard == []
+    assert got == renew == []

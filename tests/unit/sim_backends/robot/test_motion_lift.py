@@ -16,7 +16,7 @@ PATH = ["G1 X0 Y0 Z0 A15 C30 F6000", "X20 F1200", "X40"]
 
 
 def lifted(at_s: float, distance_mm: float = 15.0) -> tuple[np.ndarray, float]:
-    """All rows of a run that is told to lift at that time; and when, by the process clock."""
+    """All rows of a run with a lift at that time, and its process time."""
     motion = loaded(PATH)
     wall = 0.0
     while wall < at_s:
@@ -65,7 +65,7 @@ def test_a_block_that_is_done_as_the_path_ends_has_no_more_than_its_own_time() -
     assert sorted(done) == [0, 1], "braking ends where the corner is"
     booked = {seq: rows[rows[:, 0] == seq, 3].sum() for seq in (0, 1, 2)}
     assert [booked[0], booked[1]] == pytest.approx([done[0], done[1]], abs=1e-9)
-    assert booked[2] > 0.1, "the lift is the next one's, which nobody calls executed"
+    assert booked[2] > 0.1, "the lift belongs to the next block, which is not executed"
 
 
 def test_it_is_off_within_a_tenth_of_a_second() -> None:

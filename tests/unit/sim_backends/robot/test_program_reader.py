@@ -60,7 +60,7 @@ def test_lines_that_do_nothing(line: str) -> None:
 
 
 def test_pause_and_end() -> None:
-    blocks = read("M0", "M2", "G1 X5 F60 but nobody reads this")
+    blocks = read("M0", "M2", "G1 X5 F60 but this is not read")
     assert [block.kind for block in blocks] == ["pause", "none", "none"]
 
 
