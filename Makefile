@@ -21,10 +21,10 @@ help: ## show this list
 demo: $(VENV)/.installed ## polish a simulated part, from the first map to the report (ARGS="...")
 	@$(BIN)/polishd demo $(ARGS)
 
-test: $(VENV)/.installed ## run the tests, one of each kind (ARGS="...")
+test: $(VENV)/.installed ## run one test of each kind (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 4 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
 
-test-all: $(VENV)/.installed ## run all tests but the long campaigns and those with peers of others: make interop (ARGS="...")
+test-all: $(VENV)/.installed ## run all tests except the long campaigns and the interop tests (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" --ignore=tests/interop $(ARGS)
 
 # Those that run machines in real time by themselves, and first: others would starve what they simulate.
@@ -33,43 +33,43 @@ test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 1 -m "slow and not hil" $(REAL_TIME) $(ARGS)
 	@$(ONE_THREAD) $(PYTEST) -n 2 --dist worksteal -m "slow and not hil" $(REAL_TIME:%=--ignore=%) $(ARGS)
 
-test-maps: $(VENV)/.installed ## of those, 100,000 broken files of each map format and 10,000 writes into the folder
+test-maps: $(VENV)/.installed ## read 100,000 broken files of each map format; 10,000 writes into the maps folder
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/interferometer/test_map_fuzz.py tests/campaigns/test_folder_campaign.py $(ARGS)
 
-ways-out: $(VENV)/.installed ## of those, every way out of contact in real time, and its table in docs/cycle.md
+ways-out: $(VENV)/.installed ## run every way out of contact in real time; table in docs/cycle.md
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
 	@$(BIN)/python -m tests.campaigns.ways_out
 
-crash: $(VENV)/.installed ## 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reliability.md (ARGS="...")
+crash: $(VENV)/.installed ## try 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reliability.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash $(ARGS)
 
-faults: $(VENV)/.installed ## every fault on every link in contact; into docs/fault-matrix.md, in sittings (ARGS="--minutes 30 --jobs 3")
+faults: $(VENV)/.installed ## inject every fault on every link in contact; into docs/fault-matrix.md, can be continued (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
-pits: $(VENV)/.installed ## robots that stand or are slow and wrong forces, in contact: nm beyond plan; into docs/pits.md, in sittings (ARGS="--json")
+pits: $(VENV)/.installed ## measure the depth beyond plan of stopped or slow robots and wrong forces; into docs/pits.md, can be continued (ARGS="--json")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.pits $(ARGS)
 
-replies: $(VENV)/.installed ## a million malformed or late replies a driver; into docs/replies.md, in sittings (ARGS="--minutes 20")
+replies: $(VENV)/.installed ## send a million malformed or late replies to each driver; into docs/replies.md, can be continued (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)
 
-model: $(VENV)/.installed ## of that, the model alone
+model: $(VENV)/.installed ## check the model of the journal's protocol
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash --states 0 --kills 0 $(ARGS)
 
-coverage: $(VENV)/.installed ## every branch of state machine, journal, recovery and safety is run by a test
+coverage: $(VENV)/.installed ## check that a test runs every branch of state machine, journal, recovery and safety
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation.covered $(ARGS)
 
-shop-campaign: $(VENV)/.installed ## parts through three cells and a shop, killed at random; into docs/shop.md, in sittings (ARGS="--minutes 30")
+shop-campaign: $(VENV)/.installed ## run parts through three cells and a shop with random kills; into docs/shop.md, can be continued (ARGS="--minutes 30")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.shop $(ARGS)
 
-mutate: $(VENV)/.installed ## each small fault in them is seen by one; into docs/reliability.md (ARGS="touch safety")
+mutate: $(VENV)/.installed ## check that a test finds each small fault in these modules; into docs/reliability.md (ARGS="touch safety")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation $(ARGS)
 
-soak: $(VENV)/.installed ## 931 parts through the queue of simulated cells; into docs/reliability.md (ARGS="...")
+soak: $(VENV)/.installed ## run 931 parts through the queue of simulated cells; into docs/reliability.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.soak $(ARGS)
 
 # Peers are no part of polishd: they have a venv of their own, and what cannot be fetched is skipped by its name.
 INTEROP := build/interop
-interop: $(VENV)/.installed ## try all links with peers of others; into docs/interop.md
+interop: $(VENV)/.installed ## test all links with third-party peers; into docs/interop.md
 	@$(MAKE) --no-print-directory -k $(INTEROP)/venv/.installed $(INTEROP)/node_modules/.installed || \
 	    echo "NOT ALL PEERS: some cannot be fetched here, and their tests are skipped" >&2
 	@$(ONE_THREAD) $(BIN)/python -m tests.interop $(ARGS)
@@ -86,45 +86,46 @@ $(INTEROP)/node_modules/.installed: tests/interop/package-lock.json
 	@cd $(INTEROP) && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
 	@touch $@
 
-check: $(VENV)/.installed ## lint, format, types, layers
+check: $(VENV)/.installed ## check lint, format, types, layers and wording
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/python -m tests.arch.words
 
-format: $(VENV)/.installed ## format the sources and mend what the linter can mend
+format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
-reference: $(VENV)/.installed ## write docs/reference, the pages of all config keys, and the man page docs/polishd.1, from the source
+reference: $(VENV)/.installed ## write docs/reference (all config keys) and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
 	@$(BIN)/python -m docs.reference.man
 
-bench: $(VENV)/.installed ## race polishd against its peers, into build/bench.json (ARGS="name ...")
+bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
-performance: $(VENV)/.installed ## what make bench has measured, into docs/performance.md
+performance: $(VENV)/.installed ## write the results of make bench into docs/performance.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
 	@$(BIN)/python -m docs.reference.cost
 
 COMPARED = --limit 24
-compare: $(VENV)/.installed ## what the compliance correction is worth, on parts of 100 and 300 mm (COMPARED="--limit N")
+compare: $(VENV)/.installed ## compare the compliance corrections on parts of 100 and 300 mm (COMPARED="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections_300.toml --out build/compare/300 $(COMPARED)
 
-naming: $(VENV)/.installed ## is what is wrong named rightly: runs the study on, into docs/naming.md (ARGS="--workers 2")
+naming: $(VENV)/.installed ## continue the study of the diagnosis; into docs/diagnosis.md (ARGS="--workers 2")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/naming.toml --out build/naming $(ARGS)
 	@$(BIN)/python -m docs.reference.naming build/naming
 
-scenarios: $(VENV)/.installed ## one thing wrong at a time, three loops: runs the study on, into docs/scenarios.md (ARGS="--limit N")
+scenarios: $(VENV)/.installed ## continue the study of one fault at a time in three loops; into docs/scenarios.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/scenarios.toml --out build/scenarios $(ARGS)
 	@$(BIN)/python -m docs.reference.scenarios build/scenarios
 
-robustness: $(VENV)/.installed ## 2,200 jobs over what a machine may have, each correction: runs the study on, into docs/studies.md
+robustness: $(VENV)/.installed ## continue the study of 2,200 jobs on varied machines with each correction; into docs/studies.md
 	@$(ONE_THREAD) $(BIN)/polishd study examples/robustness.toml --out build/robustness $(ARGS)
 	@$(BIN)/python -m docs.reference.robustness build/robustness
 
-robustness-dask: $(VENV)/.installed ## the same on a Dask cluster that loses a worker: equal to the bit; into docs/studies.md (ARGS="--limit N")
+robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses a worker; must be equal to the bit; into docs/studies.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.cluster $(ARGS)
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
@@ -136,7 +137,7 @@ lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
 	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@rm -rf build/uv
 
-clean: ## remove everything that make made
+clean: ## remove all generated files
 	@rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

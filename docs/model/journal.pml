@@ -25,9 +25,9 @@ typedef Journal {
 }
 Journal cache, disk;                /* what a killed process leaves, and what a power cut leaves */
 
-/* what the daemon was told is durable */
-byte told_begun, told_map;
-byte told_recorded[CYCLES];
+/* what the journal has confirmed as durable */
+byte durable_begun, durable_map;
+byte durable_recorded[CYCLES];
 
 /* the robot controller */
 byte boot = 1;
@@ -63,17 +63,17 @@ inline durable() {
     copy(cache, disk);
 #endif
     d_step {
-        told_begun = cache.begun; told_map = cache.map;
-        for (k : 0 .. CYCLES - 1) { told_recorded[k] = cache.recorded[k] }
+        durable_begun = cache.begun; durable_map = cache.map;
+        for (k : 0 .. CYCLES - 1) { durable_recorded[k] = cache.recorded[k] }
         k = 0
     }
 }
 
-/* Nothing that was told is gone. */
+/* Nothing that was confirmed is gone. */
 inline require_kept() {
     d_step {
-        assert(cache.begun >= told_begun && cache.map >= told_map);
-        for (k : 0 .. CYCLES - 1) { assert(cache.recorded[k] >= told_recorded[k]) }
+        assert(cache.begun >= durable_begun && cache.map >= durable_map);
+        for (k : 0 .. CYCLES - 1) { assert(cache.recorded[k] >= durable_recorded[k]) }
         k = 0
     }
 }
@@ -98,7 +98,7 @@ proctype Daemon() {
     byte cycle, k, heard, whole;
     byte seen, based;               /* the map that the plan rests on, and what it shows */
 
-starts:                             /* somebody types `polishd run` */
+starts:                             /* an operator types `polishd run` */
     alive = true;
     {
         require_kept();

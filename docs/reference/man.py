@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "polishd.1"
 EXAMPLES = (
     ("polishd demo", "Polish a simulated part, from the first map to the report."),
-    ("polishd init new-cell", "Begin a cell of your own; it says what is still to be done."),
-    ("polishd check CELL.toml && polishd run CELL.toml", "Look at all of it, and run its daemon."),
+    ("polishd init new-cell", "Begin a new cell, and list what is left to do."),
+    ("polishd check CELL.toml && polishd run CELL.toml", "Check a cell, and run its daemon."),
     ("polishd hold CELL.toml --reason 'a scratch'", "Leave contact, and wait for resume."),
     ("polishd status CELL.toml --json", "What the daemon does, for a program."),
 )
@@ -31,11 +31,11 @@ def page() -> str:
 
 
 def exit_codes() -> list[tuple[str, str]]:
-    """Each code with its meaning, as the table in README.md has them."""
+    """Return each code with its meaning, from the table in README.md."""
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     first = next(index for index, line in enumerate(lines) if line.startswith("| 0 | 1 | 2 |"))
-    codes, said = ([cell.strip() for cell in lines[row].strip("|").split("|")] for row in (first, first + 2))
-    return [*zip(codes, said, strict=True), INTERRUPTED]
+    codes, meanings = ([cell.strip() for cell in lines[row].strip("|").split("|")] for row in (first, first + 2))
+    return [*zip(codes, meanings, strict=True), INTERRUPTED]
 
 
 def _lines() -> Iterator[str]:
@@ -45,8 +45,8 @@ def _lines() -> Iterator[str]:
     yield from (".SH NAME", f"polishd {_roff('-')} {_roff(_sentence(command.help).rstrip('.').lower())}")
     yield from (".SH SYNOPSIS", ".B polishd", _roff("COMMAND [OPTIONS] [ARGUMENTS]"))
     yield from (".SH DESCRIPTION", _roff(_sentence(command.help)))
-    yield _roff("The daemon of a cell runs with polishd run; the other commands make its files, or speak to it.")
-    yield _roff("Each command has --help, which says the same as this page, and most have --json.")
+    yield _roff("polishd run starts the daemon of a cell; the other commands make its files, or use its socket.")
+    yield _roff("Each command has --help, with the text of this page, and most have --json.")
     yield ".SH COMMANDS"
     yield from _commands(command, "polishd")
     yield ".SH EXIT STATUS"
@@ -59,7 +59,7 @@ def _lines() -> Iterator[str]:
 
 
 def _commands(group: Any, path: str) -> Iterator[str]:
-    """Each of a group, those of groups in it under their whole names."""
+    """Yield each command of a group; commands of groups in it have their whole names."""
     for name, command in sorted(group.commands.items()):
         if command.hidden:
             continue
@@ -69,7 +69,8 @@ def _commands(group: Any, path: str) -> Iterator[str]:
             continue
         context = typer.Context(command, info_name=whole)
         pieces = [piece for piece in command.collect_usage_pieces(context) if piece != "[OPTIONS]"]
-        yield f".SS {_quoted(' '.join([whole, *pieces]))}"
+        usage = _roff(" ".join([whole, *pieces])).replace('"', "\\(dq")
+        yield f'.SS "{usage}"'
         yield _roff(_sentence(command.help))
         for param in command.get_params(context):
             record = None if "--help" in getattr(param, "opts", ()) else param.get_help_record(context)
@@ -85,12 +86,8 @@ def _sentence(text: str | None) -> str:
     return re.sub(r"\s+", " ", text or "").strip()
 
 
-def _quoted(text: str) -> str:
-    return '"' + _roff(text).replace('"', "\\(dq") + '"'
-
-
 def _roff(text: str) -> str:
-    """As it stands: nothing in it is a request, and a hyphen can be copied."""
+    """Escape the text: nothing in it is a request, and a hyphen can be copied."""
     safe = text.replace("\\", "\\e").replace("-", "\\-")
     return f"\\&{safe}" if safe.startswith((".", "'")) else safe
 

@@ -1,11 +1,11 @@
-"""The confusion matrix of docs/naming.md: ``python -m docs.reference.naming DIR``, the study's ``--out``."""
+"""The confusion matrix of docs/diagnosis.md: ``python -m docs.reference.naming DIR``, the study's ``--out``."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-PAGE = Path(__file__).parents[1] / "naming.md"
+PAGE = Path(__file__).parents[1] / "diagnosis.md"
 BEGIN, END = "<!-- written by make naming -->\n", "<!-- end of what make naming writes -->"
 
 

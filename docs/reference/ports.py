@@ -34,20 +34,20 @@ COLUMNS = "| member | what it does | time | errors | when the caller is cancelle
 
 
 def aspects(member: Any) -> dict[str, str]:
-    """What a port's docstring says: "" is what the method does, then ``Time``, ``MapErrors``, ``Cancelled``."""
+    """Split a docstring: "" is what the method does, then come ``Time``, ``Errors``, ``Cancelled``."""
     text = _flat(inspect.getdoc(member) or "")
     found = re.split(rf" ?\b({'|'.join(ASPECTS)}): ", text)
     return {"": found[0], **dict(zip(found[1::2], found[2::2], strict=True))}
 
 
 def methods(port: type) -> dict[str, Any]:
-    """What is asked of a port by itself, beyond what all devices have."""
+    """Return the members of a port, without those of all devices."""
     common = {} if port is Device else members(Device)
     return {name: member for name, member in members(port).items() if name not in common and name != "times"}
 
 
 def laid_into(page: str) -> str:
-    """The page with what the code says between its two marks."""
+    """Return the page with the generated text between its two marks."""
     head, _, rest = page.partition(BEGIN)
     _, _, tail = rest.partition(END)
     return f"{head}{BEGIN}\n\n{chr(10).join(_sections())}\n{END}{tail}"
@@ -69,26 +69,27 @@ def _port(title: str, port: type, suite: ModuleType | None) -> Iterator[str]:
     yield f"{_code(_flat(inspect.getdoc(port) or ''))}\n"
     yield COLUMNS
     for name, member in methods(port).items():
-        said = aspects(member)
-        cells = [_call(name, member), *(_code(said.get(aspect, "")) for aspect in ("", *ASPECTS))]
+        parts = aspects(member)
+        cells = [_call(name, member), *(_code(parts.get(aspect, "")) for aspect in ("", *ASPECTS))]
         yield f"| {' | '.join(cells)} |"
     yield ""
-    if isinstance(asked := members(port).get("times"), property) and asked.fget:
-        yield from _record(getattr(devices, inspect.get_annotations(asked.fget)["return"]))
+    if isinstance(times := members(port).get("times"), property) and times.fget:
+        yield from _record(getattr(devices, inspect.get_annotations(times.fget)["return"]))
     if suite is not None:
         yield "The suite demands:\n"
-        yield from (f"- {_code(_flat(inspect.getdoc(test) or ''))}" for test in _tests(suite))
+        tests = [test for name, test in vars(suite).items() if name.startswith("test_")]
+        yield from (f"- {_code(_flat(inspect.getdoc(test) or ''))}" for test in tests)
         yield ""
 
 
 def _record(record: Any) -> Iterator[str]:
-    told = _meanings(record)
+    found = _meanings(record)
     yield f"`{record.__name__}`: {_code(_flat(inspect.getdoc(record) or ''))}\n"
     yield "| field | type | default | meaning |\n|---|---|---|---|"
     for item in fields(record):
         default = "" if item.default is MISSING else f"`{item.default!r}`"
         kind = str(item.type).replace("|", "\\|")
-        yield f"| `{item.name}` | `{kind}` | {default} | {_code(told.get(item.name, ''))} |"
+        yield f"| `{item.name}` | `{kind}` | {default} | {_code(found.get(item.name, ''))} |"
     yield ""
 
 
@@ -100,10 +101,6 @@ def _call(name: str, member: Any) -> str:
     arguments = signature.replace(parameters=list(signature.parameters.values())[1:])
     asynchronous = "await " if inspect.iscoroutinefunction(member) else ""
     return f"`{asynchronous}{name}{arguments}`".replace("'", "").replace("|", "\\|").replace(" -> None", "")
-
-
-def _tests(suite: ModuleType) -> list[Any]:
-    return [test for name, test in vars(suite).items() if name.startswith("test_")]
 
 
 def _meanings(record: type) -> dict[str, str]:

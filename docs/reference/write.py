@@ -30,7 +30,7 @@ from polishd.sim_backends.common.registry import sim_devices
 
 
 class Swept(ConfigSection):
-    """What a study of any kind may have besides."""
+    """Section that a study of any kind may have."""
 
     sweep: SweepSection | None = None
 
@@ -43,7 +43,7 @@ UNITS = {
     "mm_s2": "mm/s^2", "mm_s": "mm/s", "mpa": "MPa", "percent": "%", "deg": "deg", "rpm": "rpm", "mm": "mm", "nm": "nm",
     "ms": "ms", "s": "s", "n": "N",
 }  # fmt: skip
-"""Of a key, by how its name ends. Where the name has no unit, the description ends with it in brackets; 1: none."""
+"""Unit of a key by its name's ending. Without one there, the description ends with the unit in brackets; 1: none."""
 BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
 TYPES = {
     "number": "number",
@@ -69,22 +69,26 @@ TITLES = {
     "shop": "A shop",
 }
 INTRODUCTIONS = {
-    "cell": """A cell's file, as [examples/cell.toml](../../examples/cell.toml) shows it with comments. Relative paths
-start from its folder. The options of `[robot]`, `[actuator]`, `[spindle]`, `[metrology]`, `[loader]`,
-`[force_sensor]`, `[monitor]` and `[notify.NAME]` are those of their `type`; these are polishd's own, and other plugins
-bring others.""",
-    "study": """A study's file; what studies compute: [studies.md](../studies.md). `kind` says which keys it has.
-`[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with their defaults.""",
-    "profile": """An instrument's profile, as [examples/instrument.toml](../../examples/instrument.toml) shows it with
-comments; how it is proved: [instruments.md](../instruments.md).""",
-    "device": """A profile of a drive or a sensor; how one is made and tried: [devices.md](../devices.md). It has one
-of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`, `[lines]`.""",
-    "controller": """The profile of a robot controller that loads files (`[robot] type = "plc_robot"`), as
-[the shipped ones](../../polishd/config/controller_profiles) show it; what each variable is for:
-[plc-robot.md](../protocols/plc_robot.md).""",
-    "simulator": """What only a simulator knows of a cell, as [examples/sim.toml](../../examples/sim.toml) shows it with
-comments. Every key may be left out: with `cell` it is then as the cell has it, else the default of this page.""",
-    "shop": """The file of a shop of several cells; how one is set up: [shop.md](../shop.md).""",
+    "cell": """This page lists the keys of a cell's file; [examples/cell.toml](../../examples/cell.toml) shows them with
+comments. Relative paths start from the file's folder. The options of `[robot]`, `[actuator]`, `[spindle]`,
+`[metrology]`, `[loader]`, `[force_sensor]`, `[monitor]` and `[notify.NAME]` depend on `type`. This page has polishd's
+own types; other plugins may add more.""",
+    "study": """This page lists the keys of a study's file; [studies.md](../studies.md) describes what studies compute.
+The keys depend on `kind`. `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with
+their defaults.""",
+    "profile": """This page lists the keys of an instrument's profile;
+[examples/instrument.toml](../../examples/instrument.toml) shows them with comments, and
+[instruments.md](../instruments.md) describes how to prove the profile.""",
+    "device": """This page lists the keys of a profile of a drive or a sensor; [devices.md](../devices.md) describes how
+to make and try one. A profile has one of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`,
+`[lines]`.""",
+    "controller": """This page lists the keys of the profile of a robot controller that loads files
+(`[robot] type = "plc_robot"`); see [the shipped profiles](../../polishd/config/controller_profiles).
+[protocols/plc_robot.md](../protocols/plc_robot.md) describes each variable.""",
+    "simulator": """This page lists the keys of sim.toml: what only a simulator knows of a cell.
+[examples/sim.toml](../../examples/sim.toml) shows them with comments. Every key may be left out: the value is then that
+of the file in `cell`, else the default of this page.""",
+    "shop": """This page lists the keys of the file of a shop; [shop.md](../shop.md) describes how to set one up.""",
 }
 
 
@@ -94,47 +98,47 @@ class Key:
 
     name: str
     schema: dict[str, Any]
-    """What pydantic says of its values: type and range."""
+    """Schema of its values by pydantic: type and range."""
     given: tuple[Any, ...]
     """Its default; empty where it must be written."""
     meaning: str
 
     @property
     def type(self) -> str:
-        """In words."""
+        """Type of its values, as text."""
         return _type(_plain(self.schema))
 
     @property
     def unit(self) -> str:
-        """Of its numbers; empty where it has none or nobody says."""
+        """Unit of its numbers; empty where it has none."""
         stated = re.search(r" \[([^]]+)\]$", self.meaning)
         ending = next((unit for end, unit in UNITS.items() if re.search(rf"(^|_){end}$", self.name)), "")
         return stated[1] if stated else ending if "number" in self.type else ""
 
     @property
     def default(self) -> str:
-        """As it is written in the file."""
+        """Its default, as the file would have it."""
         if not self.given:
             return "required"
         return "none" if self.given[0] is None else f"`{_toml(self.given[0])}`"
 
     @property
     def range(self) -> str:
-        """What is allowed of the type."""
+        """Values that are allowed of the type."""
         return _range(_plain(self.schema))
 
     def row(self) -> str:
-        """Its line of the table."""
+        """Return its line of the table."""
         meaning = re.sub(r" \[[^]]+\]$", "", self.meaning).replace("``", "`").replace("|", "\\|")
         return f"| `{self.name}` | {self.type} | {self.unit} | {self.default} | {self.range} | {meaning} |"
 
 
 def keys(model: type[BaseModel]) -> list[Key]:
-    """The keys of a table, without those that are tables of their own, and without the kind that its header names."""
+    """Return the keys of a table, without those that are tables themselves, and without the kind in its header."""
     found = model.model_json_schema(mode="serialization")["properties"]
-    told, given = meanings(model), model.model_construct().model_dump(mode="json")
+    described, given = meanings(model), model.model_construct().model_dump(mode="json")
     own = [name for name in model.model_fields if not _tables(model, name) and "const" not in found[name]]
-    return [Key(name, found[name], (given[name],) if name in given else (), told.get(name, "")) for name in own]
+    return [Key(name, found[name], (given[name],) if name in given else (), described.get(name, "")) for name in own]
 
 
 def tables(model: type[BaseModel], above: str = "") -> Iterator[Table]:

@@ -1,1 +1,1 @@
-"""The command line: options and printing, one file a command group; it decides nothing."""
+"""The command line: options and output, one file for each command group."""

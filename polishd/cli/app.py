@@ -1,4 +1,4 @@
-"""The command line: the commands of a cell and those without a cell. Options only; the packages do the work."""
+"""The command line: commands of a cell and commands without a cell. Options only; other packages do the work."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ offline_app.add_typer(studies, name="study", no_args_is_help=True)
 @offline_app.command()
 def init(
     *,
-    folder: Annotated[Path, Argument(metavar="DIR", help="Where the cell is to stand; made where it is not there.")],
+    folder: Annotated[Path, Argument(metavar="DIR", help="Folder of the new cell; it is created if missing")],
     answers: Annotated[
-        Path | None, Option("--from", metavar="ANSWERS.toml", help="What is known of it; left out: you are asked.")
+        Path | None, Option("--from", metavar="ANSWERS.toml", help="File of answers (default: ask at the terminal)")
     ] = None,
-    dry_run: Annotated[bool, Option("--dry-run", help="Show what it would write; write nothing.")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Show the files; write nothing")] = False,
     force: Annotated[bool, Option("--force", help="Overwrite existing files")] = False,
     status: Annotated[bool, Option("--status", help="Show the next step of a cell that exists; write nothing")] = False,
     as_json: Json = False,
 ) -> None:
-    """Begin a cell: its commented file, an instrument's profile, a program, and the steps that remain."""
+    """Start a new cell: its commented file, an instrument's profile, a program, and the next steps."""
     if status:
         from polishd.commissioning.init.steps import setup_verb
 
@@ -60,11 +60,11 @@ def init(
 @offline_app.command()
 def tif(
     cell: Cell,
-    depth_ratio: Annotated[float, Option(metavar="G", help="Gamma: depth over the rigid robot's.")] = 1.0,
+    depth_ratio: Annotated[float, Option(metavar="G", help="Gamma: depth divided by the rigid robot's depth")] = 1.0,
     out: Picture = None,
     as_json: Json = False,
 ) -> None:
-    """The tool influence function of a cell: depth, pressure, peak, volume, profiles."""
+    """Show the tool influence function of a cell: depth, pressure, peak, volume, profiles."""
     from polishd.cli.tif import tif_verb
 
     tif_verb(cell, depth_ratio, out, as_json=as_json)
@@ -73,11 +73,11 @@ def tif(
 @offline_app.command()
 def compliance(
     cell: Cell,
-    program: Annotated[Path | None, Option(metavar="P.rnc", help="Along this program, too.")] = None,
+    program: Annotated[Path | None, Option(metavar="P.rnc", help="Show it along this program, too")] = None,
     out: Picture = None,
     as_json: Json = False,
 ) -> None:
-    """The robot's equivalent compliance over the workspace and along a program, and the gamma that follows."""
+    """Show the robot's equivalent compliance over the workspace and along a program, and its gamma."""
     from polishd.cli.tif import compliance_verb
 
     compliance_verb(cell, program, out, as_json=as_json)
@@ -94,20 +94,20 @@ app = typer.Typer(
 )
 
 STDOUT = 1
-"""Its descriptor."""
+"""File descriptor of standard output."""
 
 Correction = Annotated[
-    Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction.")
+    Literal["none", "pointwise", "linear", "power", "exact"] | None, Option(help="Override process.correction")
 ]
 
 Record = Annotated[
     Path | None,
-    Option(metavar="FILE|DIR", help="Record what passes on the devices' links, to replay it (docs/recording.md)."),
+    Option(metavar="FILE|DIR", help="Record the devices' links, for replay (docs/recording.md)"),
 ]
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(given: bool) -> None:
+    if given:
         say(__version__)
         raise typer.Exit
 
@@ -115,12 +115,12 @@ def _version(asked: bool) -> None:
 @app.callback()
 def root(
     *,
-    _asked: Annotated[
-        bool, Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    _show: Annotated[
+        bool, Option("--version", callback=_version, is_eager=True, help="Print the version and exit")
     ] = False,
 ) -> None:
     """Controller daemon of an unattended robotic polishing cell."""
-    # Before numpy is imported: BLAS threads that wait for each other take three times the CPU, on a busy machine more.
+    # Set before numpy is imported: BLAS threads that wait for each other take three times the CPU or more.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 
@@ -128,16 +128,16 @@ def root(
 @app.command()
 def demo(
     *,
-    seed: Annotated[int, Option(help="What the simulated cell hides is drawn from it.")] = 1,
-    speed: Annotated[float, Option(min=1.0, max=200.0, help="Process time per wall time.")] = 60.0,
-    cycles: Annotated[int, Option(min=1, max=20, help="Most polishing passes.")] = 4,
-    tolerance: Annotated[float, Option(min=0.01, metavar="NM", help="RMS to reach, nm.")] = 2.0,
-    surface: Annotated[Path | None, Option(metavar="FILE", help="Start from a measured map (Zygo .dat).")] = None,
+    seed: Annotated[int, Option(help="Seed of the simulated cell's hidden parameters")] = 1,
+    speed: Annotated[float, Option(min=1.0, max=200.0, help="Process time per wall time")] = 60.0,
+    cycles: Annotated[int, Option(min=1, max=20, help="Largest number of polishing passes")] = 4,
+    tolerance: Annotated[float, Option(min=0.01, metavar="NM", help="RMS to reach")] = 2.0,
+    surface: Annotated[Path | None, Option(metavar="FILE", help="Start from a measured map (Zygo .dat)")] = None,
     correction: Correction = None,
-    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for everything it makes.")] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder for all files of the demo")] = None,
     as_json: Json = False,
 ) -> None:
-    """Polish a simulated part in a simulated cell, over real wires, with nobody there."""
+    """Polish a simulated part unattended in a simulated cell, over real links."""
     from polishd.cli.demo import DemoOptions, run_demo
 
     options = DemoOptions(seed, speed, cycles, tolerance, surface, correction, out)
@@ -148,16 +148,16 @@ def demo(
 def run(
     *,
     cells: Annotated[
-        list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
+        list[Path], Argument(metavar="CELL.toml...", help="Configuration of each cell", show_default=False)
     ],
     correction: Correction = None,
-    no_hold: Annotated[bool, Option("--no-hold", help="End where it would wait for a person to mend.")] = False,
-    queue: Annotated[bool, Option("--queue", help="Work the queue of polishd queue; wait for more.")] = False,
-    until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits.")] = False,
+    no_hold: Annotated[bool, Option("--no-hold", help="End instead of waiting for an operator")] = False,
+    queue: Annotated[bool, Option("--queue", help="Run the jobs of polishd queue, and wait for more")] = False,
+    until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits")] = False,
     record: Record = None,
     as_json: Json = False,
 ) -> None:
-    """Run the daemon of a cell, or of several, until their jobs end. After an interruption one comes up held."""
+    """Run the daemon of one or several cells until their jobs end. After an interruption a cell starts held."""
     from polishd.cli.run import run_verb
 
     how = {"queue": queue, "until_empty": until_empty}
@@ -168,15 +168,15 @@ def run(
 def plan(
     *,
     cell: Cell,
-    surface: Annotated[Path, Argument(metavar="MAP", help="A measured map.")],
+    surface: Annotated[Path, Argument(metavar="MAP", help="A measured map")],
     program: Annotated[
-        Path | None, Option(metavar="P.rnc", help="The RNC program to rewrite; default: the cell's.")
+        Path | None, Option(metavar="P.rnc", help="RNC program to rewrite (default: the cell's)")
     ] = None,
-    out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan.")],
+    out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan")],
     correction: Correction = None,
     as_json: Json = False,
 ) -> None:
-    """Everything short of motion: figures, corrected dwell, rewritten program, certificate, pictures."""
+    """Plan a pass without motion: figures, corrected dwell, rewritten program, certificate, pictures."""
     from polishd.cli.cell import plan_verb
 
     plan_verb(cell, surface, program, out, correction, as_json=as_json)
@@ -184,7 +184,7 @@ def plan(
 
 @app.command()
 def check(cell: Cell, as_json: Json = False) -> None:
-    """Check config, plugins, program and reach. Opens nothing."""
+    """Check config, plugins, program and reach. No device is opened."""
     from polishd.cli.cell import check_verb
 
     check_verb(cell, as_json=as_json)
@@ -193,7 +193,7 @@ def check(cell: Cell, as_json: Json = False) -> None:
 @app.command()
 def probe(
     cell: Cell,
-    only: Annotated[list[str] | None, Option(metavar="NAME", help="Ask that device who it is, nothing else.")] = None,
+    only: Annotated[list[str] | None, Option(metavar="NAME", help="Only identify this device")] = None,
     record: Record = None,
     as_json: Json = False,
 ) -> None:
@@ -208,16 +208,17 @@ def hil(
     *,
     cell: Cell,
     level: Annotated[
-        Literal["identify", "no-contact", "contact", "cycle"], Option(help="How far: what moves is said before.")
+        Literal["identify", "no-contact", "contact", "cycle"],
+        Option(help="Level of the test"),
     ] = "identify",
-    max_force: Annotated[float | None, Option(metavar="N", help="Nothing is pressed harder.")] = None,
-    simulate: Annotated[str, Option(metavar="NAME,...", help="Devices that are simulated instead.")] = "",
-    motion: Annotated[Path | None, Option(metavar="PROGRAM", help="Blocks that the robot may run in the air.")] = None,
+    max_force: Annotated[float | None, Option(metavar="N", help="Largest force of the test")] = None,
+    simulate: Annotated[str, Option(metavar="NAME,...", help="Simulate these devices")] = "",
+    motion: Annotated[Path | None, Option(metavar="PROGRAM", help="Program that the robot may run in the air")] = None,
     record: Record = None,
-    yes: Annotated[bool, Option("--yes", help="Do not ask before anything moves.")] = False,
+    yes: Annotated[bool, Option("--yes", help="Move without confirmation")] = False,
     as_json: Json = False,
 ) -> None:
-    """Hold a real cell's devices to what their ports demand. Needs polishd[testing]."""
+    """Test a real cell's devices against the requirements of their ports. Needs polishd[testing]."""
     from polishd.cli.hil import hil_verb
 
     hil_verb(cell, level, max_force, simulate, motion, record=record, yes=yes, as_json=as_json)
@@ -225,7 +226,7 @@ def hil(
 
 @app.command()
 def notify(cell: Cell, as_json: Json = False) -> None:
-    """Send a test through each notifier of a cell, and say how it went. Opens no device."""
+    """Send a test through each notifier of a cell, and show the results. No device is opened."""
     from polishd.cli.cell import notify_verb
 
     notify_verb(cell, as_json=as_json)
@@ -236,7 +237,7 @@ def status(
     cell: Cell,
     as_json: Json = False,
 ) -> None:
-    """Show what the daemon of a cell is doing."""
+    """Show the status of a cell's daemon."""
     from polishd.cli.status import status_verb
 
     status_verb(cell, as_json=as_json)
@@ -245,11 +246,11 @@ def status(
 @app.command()
 def top(
     cells: Annotated[
-        list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)
+        list[Path], Argument(metavar="CELL.toml...", help="Configuration of each cell", show_default=False)
     ],
-    once: Annotated[bool, Option("--once", help="One look, and end; so it does where stdout is no terminal.")] = False,
+    once: Annotated[bool, Option("--once", help="Print once and end (always, if stdout is not a terminal)")] = False,
 ) -> None:
-    """Watch cells in the terminal: part, phase, time left, force, speed, and how old each reading is."""
+    """Monitor cells in the terminal: part, phase, remaining time, force, speed, and the age of each reading."""
     from polishd.cli.top import top_verb
 
     top_verb(cells, once=once)
@@ -258,11 +259,11 @@ def top(
 @app.command()
 def events(
     cell: Cell,
-    count: Annotated[int, Option("--last", min=0, max=10_000, help="So many of those before.")] = 50,
-    follow: Annotated[bool, Option("--follow", help="Go on with what happens, until the daemon ends.")] = False,
+    count: Annotated[int, Option("--last", min=0, max=10_000, metavar="N", help="Number of past events")] = 50,
+    follow: Annotated[bool, Option("--follow", help="Continue with new events until the daemon ends")] = False,
     as_json: Json = False,
 ) -> None:
-    """What happened in a cell, and who ordered it, from its journal. Needs no daemon."""
+    """Show the events of a cell's journal, with the user who ordered each. Needs no daemon."""
     from polishd.cli.events import events_verb
 
     events_verb(cell, count, follow=follow, as_json=as_json)
@@ -270,19 +271,19 @@ def events(
 
 @app.command()
 def hold(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
-    """Leave contact, stand still, and wait for resume."""
+    """Leave contact, stop motion, and wait for resume."""
     _order(cell, "hold", reason, as_json=as_json)
 
 
 @app.command()
 def resume(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
-    """Go on, with a new measurement first."""
+    """Continue, with a new measurement first."""
     _order(cell, "resume", reason, as_json=as_json)
 
 
 @app.command()
 def approve(cell: Cell, as_json: Json = False) -> None:
-    """The plan that waits may run (job.approve)."""
+    """Approve the waiting plan (job.approve)."""
     from polishd.cli.status import approve_verb
 
     approve_verb(cell, as_json=as_json)
@@ -290,13 +291,13 @@ def approve(cell: Cell, as_json: Json = False) -> None:
 
 @app.command()
 def stop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
-    """Leave contact, stand still, and end the daemon."""
+    """Leave contact, stop motion, and end the daemon."""
     _order(cell, "stop", reason, as_json=as_json)
 
 
 @app.command()
 def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
-    """Stop motion at once, whatever the part costs; then wait for resume. No substitute for the button."""
+    """Stop motion at once, even if that damages the part, and wait for resume. It does not replace the button."""
     _order(cell, "estop", reason, as_json=as_json)
 
 
@@ -304,11 +305,13 @@ def estop(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
 def web(
     *,
     cell: Cell,
-    add_user: Annotated[str | None, Option(metavar="NAME", help="Make a token for somebody, and show it once.")] = None,
-    role: Annotated[Literal["watch", "operate", "engineer"], Option(help="With --add-user: what they may.")] = "watch",
-    remove_user: Annotated[str | None, Option(metavar="NAME", help="Their token is worth nothing any more.")] = None,
+    add_user: Annotated[str | None, Option(metavar="NAME", help="Add a user, and show the token once")] = None,
+    role: Annotated[
+        Literal["watch", "operate", "engineer"], Option(help="Role of the new user (with --add-user)")
+    ] = "watch",
+    remove_user: Annotated[str | None, Option(metavar="NAME", help="Remove a user; the token is void")] = None,
 ) -> None:
-    """Serve the page and the HTTP API of a cell, beside its daemon; ends with Ctrl-C."""
+    """Serve the web page and the HTTP API of a cell, in a process besides its daemon, until Ctrl-C."""
     from polishd.cli.cell import web_verb
     from polishd.web.http.users import Role
 
@@ -319,11 +322,11 @@ def web(
 def history(
     cell: Cell,
     out: Annotated[
-        Path | None, Option(metavar="PICTURE.png", help="Picture: convergence, removal rate, faults over weeks.")
+        Path | None, Option(metavar="PICTURE.png", help="Draw convergence, removal rate and faults over weeks")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """What became of the cell's parts: figures, removal rate and faults of all jobs. Needs no daemon."""
+    """Show the history of a cell's parts: figures, removal rate and faults of all jobs. Needs no daemon."""
     from polishd.cli.history import history_verb
 
     history_verb(cell, out, as_json=as_json)
@@ -332,17 +335,17 @@ def history(
 @app.command()
 def estimates(
     cell: Cell,
-    forget: Annotated[bool, Option("--forget", help="Begin anew: the next job begins with nothing learned.")] = False,
+    forget: Annotated[bool, Option("--forget", help="Start the next job without earlier estimates")] = False,
     reason: Reason = "",
     as_json: Json = False,
 ) -> None:
-    """What the cell has learned of rate and machine, and the next job begins with."""
-    from polishd.cli.history import beliefs_verb, forget_verb
+    """Show the estimates of removal rate and machine with which the next job starts."""
+    from polishd.cli.history import estimates_verb, forget_verb
 
     if forget:
         forget_verb(cell, reason, as_json=as_json)
     else:
-        beliefs_verb(cell, as_json=as_json)
+        estimates_verb(cell, as_json=as_json)
 
 
 @app.command()
@@ -350,7 +353,7 @@ def plugins(
     cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
     as_json: Json = False,
 ) -> None:
-    """The plugins of a cell (without CELL: polishd's own), and what each brings."""
+    """Show the plugins of a cell, or polishd's own without CELL.toml, and the functions of each."""
     from polishd.cli.cell import plugins_verb
 
     plugins_verb(cell, as_json=as_json)
@@ -362,7 +365,7 @@ def sim(
     context: typer.Context,
     config: Annotated[Path, Argument(metavar="SIM.toml", show_default=False)],
 ) -> None:
-    """Start a simulated cell as separate processes, until Ctrl-C. Further options go to the simulator."""
+    """Run a simulated cell in separate processes until Ctrl-C. Other options go to the simulator."""
     from polishd.commissioning.rehearsal.simulated_cell import run_simulator
 
     raise typer.Exit(run_simulator(config, context.args))
@@ -376,7 +379,7 @@ def rehearse(
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder for the simulated copy of the cell")] = None,
     write_only: Annotated[bool, Option("--write-only", help="Write the files; start nothing")] = False,
 ) -> None:
-    """Start the simulated copy of a cell, to rehearse its job. Further options go to the simulator."""
+    """Run a simulated copy of a cell, to rehearse its job. Other options go to the simulator."""
     from polishd.commissioning.rehearsal.rehearsal import rehearsal_verb
 
     raise typer.Exit(rehearsal_verb(cell, out, context.args, write_only=write_only))
@@ -404,7 +407,7 @@ def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
 
 
 def main() -> None:
-    """The command line: errors of the tree, and of files, become one message and their exit code."""
+    """Run the command line; print each known error as one message, and exit with its code."""
     escape_logs()
     try:
         _plugin_commands()
@@ -415,7 +418,7 @@ def main() -> None:
     except MemoryError as error:
         what = str(error) or "the computation"
         say(
-            f"polishd: this computer has too little memory: {what}. Check sizes and pitches in the files "
+            f"polishd: not enough memory: {what}. Check sizes and pitches in the files "
             "(part, process.grid_mm, plant.pitch_mm), or end other programs",
             err=True,
         )
@@ -431,13 +434,13 @@ def main() -> None:
 
 
 def _with_cell(text: str) -> str:
-    """Commands in it can be copied: they name the cell that was asked for."""
+    """Put the given cell's path into the commands of a message, so that they can be copied."""
     cell = next((word for word in sys.argv[1:] if word.endswith(".toml")), None)
     return text if cell is None else text.replace("CELL.toml", shlex.quote(cell))
 
 
 def _full_output() -> str:
-    """What has no room where no file is named: standard output, if it takes not even the end of a line."""
+    """Name the full output if the error names no file: standard output, if it takes not even a line end."""
     try:
         os.write(STDOUT, b"\n")
     except OSError:
@@ -447,16 +450,16 @@ def _full_output() -> str:
 
 
 def _plugin_commands() -> None:
-    """Commands that polishd's own plugins add; loaded only where no verb of ours is asked for."""
-    asked = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
-    if asked is not None and asked not in _verbs(app):
+    """Add commands of polishd's plugins; load them only for a command that is not built in."""
+    command = next((word for word in sys.argv[1:] if not word.startswith("-")), None)
+    if command is not None and command not in _verbs(app):
         from polishd.plugin_loader import load_own
 
         load_own().cli(app)
 
 
 def _verbs(group: typer.Typer) -> set[str]:
-    """What may be said first, with the verbs of groups that have no name of their own."""
+    """Return the names of commands and groups, with the commands of groups without a name."""
     own = {command.name or getattr(command.callback, "__name__", "") for command in group.registered_commands}
     for inner in group.registered_groups:
         own |= {inner.name} if inner.name else _verbs(cast(typer.Typer, inner.typer_instance))

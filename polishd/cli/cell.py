@@ -1,4 +1,4 @@
-"""What the verbs on a cell do: load, ask the daemon's rooms, print for people or for programs."""
+"""Commands on a cell: load it, call the daemon's packages, print for people or for programs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from polishd.web.http.users import Role, UserFile, users_path
 def plan_verb(
     cell: Path, surface: Path, program: Path | None, out: Path, correction: str | None, *, as_json: bool
 ) -> None:
-    """Plan a part by hand; without ``program`` by the cell's."""
+    """Plan a pass of a part; ``program`` None: the cell's."""
     from polishd.programs.plan import plan_part
 
     config, hooks = load_cell(cell, correction)
@@ -41,14 +41,14 @@ def plan_verb(
             stdout.print(f"note: {note}", markup=False)
         mb = summary["writes"]
         sizes = f"{mb['state_mb']:.1f} MB of journal, {mb['run_mb']:.1f} MB into the run folder"
-        stdout.print(f"a pass of its {summary['blocks']} blocks writes {sizes}", markup=False)
+        stdout.print(f"a pass of {summary['blocks']} blocks writes {sizes}", markup=False)
         stdout.print(f"written to {out} (report.html)", markup=False)
 
 
 def check_verb(cell: Path, *, as_json: bool) -> None:
-    """Config, plugins, program and reach; opens nothing."""
+    """Check config, plugins, program and reach; open nothing."""
     with stderr.status("checking: plugins") as shown:
-        from polishd.daemon.checks import check_cell  # it takes a while by itself
+        from polishd.daemon.checks import check_cell  # this import is slow
 
         config, hooks = load_cell(cell)
         facts = check_cell(config, hooks, lambda what: shown.update(f"checking: {what}"))
@@ -66,7 +66,7 @@ def check_verb(cell: Path, *, as_json: bool) -> None:
 
 
 def _limit_table(limits: Sequence[Mapping[str, Any]]) -> Table:
-    """The chain of time limits, in the order in which they act."""
+    """Return the table of time limits, in the order in which they act."""
     rows = [
         (
             limit["what"],
@@ -80,13 +80,12 @@ def _limit_table(limits: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def probe_verb(cell: Path, only: Sequence[str] = (), record: Path | None = None, *, as_json: bool) -> None:
-    """Connect, identify, leave safe; DeviceFault, after the table, where one of them does not answer."""
+    """Connect, identify, leave safe; after the table raise DeviceFault if a device does not answer."""
     from polishd.daemon.checks import probe_cell
 
     config, hooks = load_cell(cell)
-    logging.getLogger().addHandler(
-        logging.NullHandler()
-    )  # what it tells of a device that is silent stands in the table
+    # The table shows devices that do not answer; without a handler Python would print their warnings.
+    logging.getLogger().addHandler(logging.NullHandler())
     found = run_loop(probe_cell(config, hooks, only, record))
     devices: dict[str, dict[str, Any]] = {name: asdict(identity) for name, identity in found.identities.items()}
     for name, problem in found.problems.items():
@@ -100,12 +99,12 @@ def probe_verb(cell: Path, only: Sequence[str] = (), record: Path | None = None,
     if found.problems:
         names = ", ".join(found.problems)
         raise DeviceFault(
-            f"{len(found.problems)} of {len(only or devices)} devices did not answer as they should: {names}"
+            f"{len(found.problems)} of {len(only or devices)} devices failed: {names}. See the table above"
         )
 
 
 def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_: bool) -> list[Table]:
-    """Who answered."""
+    """Return the table of devices that answered."""
     columns = ("device", "vendor", "model", "serial", "firmware")
     answered = [(name, *(facts[key] for key in columns[1:])) for name, facts in devices.items() if "model" in facts]
     wrong = any("error" in facts for facts in devices.values())
@@ -114,7 +113,7 @@ def _probed_tables(cell: str, devices: Mapping[str, Mapping[str, Any]], *, all_:
 
 
 def plugins_verb(cell: Path | None, *, as_json: bool) -> None:
-    """What is loaded, what each plugin brings, and what is refused and why."""
+    """Show the loaded plugins with their functions, and the refused ones with the reason."""
     hooks = load_own() if cell is None else plugins_of(load_config(cell))
     loaded = [
         {
@@ -150,28 +149,28 @@ def web_verb(cell: Path, add_user: str | None, role: Role, remove_user: str | No
     users = UserFile(users_path(config))
     if add_user is not None:
         token = users.add(add_user, role)
-        say(f"{add_user} may {role.value}; the token, which is not shown again:", err=True)
+        say(f"{add_user} has the role {role.value}; the token, which is not shown again:", err=True)
         say(token)
     elif remove_user is not None:
         users.remove(remove_user)
-        say(f"{remove_user} is out", err=True)
+        say(f"user {remove_user} was removed", err=True)
     else:
         if not users:
-            say("nobody can sign in yet: polishd web CELL.toml --add-user NAME --role operate", err=True)
+            say("there are no users; run: polishd web CELL.toml --add-user NAME --role operate", err=True)
         serve(config)
 
 
-# ``polishd opcua``: a cell for the systems of its plant.
+# ``polishd opcua``: the cell's OPC UA server.
 
 NICE = 5
-"""The server gives way to the daemon, whose loop holds contact."""
+"""Lower priority than the daemon, whose loop controls contact."""
 
 
 def opcua_verb(path: Path) -> None:
-    """Until Ctrl-C or SIGTERM. ConfigError where the cell does not say who it is, or the library is missing."""
+    """Serve until Ctrl-C or SIGTERM. Raise ConfigError if [opcua] or the library is missing."""
     config = load_config(path)
     if config.opcua is None:
-        raise config.error("opcua", "is missing: an OPC UA client wants to know who this machine is; add [opcua]: "
+        raise config.error("opcua", "is missing: OPC UA clients need this machine's identity; add [opcua]: "
                            "docs/plant-systems.md")  # fmt: skip
     if importlib.util.find_spec("asyncua") is None:
         raise ConfigError("polishd opcua needs asyncua, which is not installed: pip install 'polishd[opcua]'")
@@ -181,21 +180,21 @@ def opcua_verb(path: Path) -> None:
     try:
         asyncio.run(serve(config.cell.name, config.state_dir, config.opcua))
     except OSError as error:
-        taken = f"{ADDRESS}:{config.opcua.port} cannot be listened at: {error.strerror}; choose another"
-        raise config.error("opcua.port", taken) from error
+        problem = f"the server cannot listen at {ADDRESS}:{config.opcua.port}: {error.strerror}; set another port"
+        raise config.error("opcua.port", problem) from error
 
 
-# ``polishd notify``: whether those whom a cell's config names are really reached.
+# ``polishd notify``: a test of each notifier.
 
 
 def notify_verb(cell: Path, *, as_json: bool) -> None:
-    """A test through each notifier, whatever its least severity; exit code 5 where one failed."""
+    """Send a test through each notifier, of any severity; exit code 5 if one failed."""
     config, hooks = load_cell(cell)
     notifiers = build_notifiers(config, hooks)
     if not notifiers:
-        raise config.error("notify", "nobody is told of anything; add a section [notify.NAME]: docs/notifications.md")
+        raise config.error("notify", "there is no notifier; add a section [notify.NAME]: docs/notifications.md")
     found = try_out(config, notifiers)
-    columns = ("notifier", "type", "told from", "test", "waiting")
+    columns = ("notifier", "type", "severity", "test", "waiting")
     rows = [
         (one["notifier"], one["type"], one["severity"], one["error"] or "sent", one["waiting"] or "") for one in found
     ]

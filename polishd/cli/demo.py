@@ -1,6 +1,6 @@
 """``polishd demo``: a simulated cell, its daemon, and a table at the end.
 
-No shortcuts: it writes a config and a program, starts the simulator and ``polishd run``, and only watches.
+It writes a config and a program, starts the simulator and ``polishd run``, and shows the events.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
     stderr.print("polishd demo", f"in {out}  (seed {options.seed}, {options.speed:g} x real time)")
     simulator = ["--state", str(files.sim_dir), "--seed", str(options.seed), "--speed", f"{options.speed:g}"]
     simulator += ["--surface", str(options.surface.absolute())] if options.surface else []
-    signal.signal(signal.SIGTERM, _raise_exit)  # ended from outside, it still ends what it started
+    signal.signal(signal.SIGTERM, _raise_exit)  # so that SIGTERM also ends the started processes
     proved = commission_demo(files)
-    stderr.print(f"its instrument's profile is proved by an artefact: correlation {proved.proof.correlation:.4f}")
+    stderr.print(f"the instrument's profile is commissioned: correlation {proved.proof.correlation:.4f}")
     with simulated_cell(files.sim, simulator, files.out / "sim.log"):
         code = _daemon(files)
     summary_path = files.run_dir / "summary.json"
@@ -76,13 +76,13 @@ def run_demo(options: DemoOptions, *, as_json: bool) -> int:
 
 
 def commission_demo(files: DemoFiles) -> CommissioningResult:
-    """Have the simulated instrument measure its artefact, and prove its profile with that; errors as of the verb."""
+    """Measure the artefact with the simulated instrument, and commission its profile; raise the command's errors."""
     measure_artefact(files.sim, files.artefact)
     return prove_profile(files.profile, files.artefact)
 
 
 def _daemon(files: DemoFiles) -> int:
-    """``polishd run`` as a process, watched over its socket; its exit code."""
+    """Run ``polishd run`` as a process, show its events, and return its exit code."""
     command = [sys.executable, "-m", "polishd", "run", str(files.cell), "--json", "--no-hold"]
     with files.daemon_log.open("wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
@@ -99,10 +99,10 @@ def _daemon(files: DemoFiles) -> int:
 
 
 def _watch(process: subprocess.Popen[bytes], files: DemoFiles) -> None:
-    """Show what the daemon tells, until it ends."""
+    """Show the daemon's events until it ends."""
     waited = threading.Event()
     while process.poll() is None and not (files.state_dir / SOCKET_NAME).exists():
-        waited.wait(0.05)  # a file that another process makes: there is no event to wait for
+        waited.wait(0.05)  # another process makes this file, so there is no event to wait for
     with contextlib.suppress(LinkError), progress([("", files.cell)]) as (show,):
         for event in client.subscribe(files.state_dir):
             show(event["name"], event["cycle"], event["data"])

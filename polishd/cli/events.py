@@ -1,4 +1,4 @@
-"""``polishd events``: what happened in a cell, from its journal, and as it happens."""
+"""``polishd events``: events of a cell, from its journal and live."""
 
 from __future__ import annotations
 
@@ -19,49 +19,49 @@ from polishd.daemon.socket import client
 from polishd.rendering.terminal import emit, key_table, record_table, say
 from polishd.util.wire_recording import Recording, WireMessage, read_recording
 
-SAID = ("reason", "error", "what", "notes", "outcome", "tool", "state", "by", "part")
-"""Data that a line tells, in this order, where there is any."""
+SHOWN = ("reason", "error", "what", "notes", "outcome", "tool", "state", "by", "part")
+"""Data of an event shown in its line, in this order."""
 MOST_CHARACTERS = 160
 
 
 def events_verb(cell: Path, count: int, *, follow: bool, as_json: bool) -> None:
-    """The last ones of the journal, the newest last; then, if asked, those to come, until the daemon ends."""
+    """Print the last events of the journal, the newest last; with ``follow`` then new events until the daemon ends."""
     config = load_config(cell)
     for event in read_events(config.state_dir, count):
-        _tell(event, as_json=as_json)
+        _print_event(event, as_json=as_json)
     if not follow:
         return
-    with suppress(KeyboardInterrupt):  # so whoever follows ends it
+    with suppress(KeyboardInterrupt):  # Ctrl-C ends --follow
         for event in client.subscribe(config.state_dir):
-            _tell({"at_s": time.time(), **event}, as_json=as_json)
+            _print_event({"at_s": time.time(), **event}, as_json=as_json)
 
 
-def _tell(event: Mapping[str, Any], *, as_json: bool) -> None:
+def _print_event(event: Mapping[str, Any], *, as_json: bool) -> None:
     say(json.dumps(event) if as_json else line_of(event))
 
 
 def line_of(event: Mapping[str, Any]) -> str:
-    """One line: when, in which cycle, what, and the most telling of its data."""
+    """Return one line: time, cycle, name, and the most important data."""
     data = event["data"]
-    said = [_words(data[key]) for key in SAID if data.get(key)]
+    shown = [_text(data[key]) for key in SHOWN if data.get(key)]
     cycle = "" if event.get("cycle") is None else f"cycle {event['cycle']}"
     when = datetime.fromtimestamp(event["at_s"]).astimezone().strftime("%Y-%m-%d %H:%M:%S")
-    text = f"{when}  {cycle:<9} {event['name']:<18} {'; '.join(said)}"
+    text = f"{when}  {cycle:<9} {event['name']:<18} {'; '.join(shown)}"
     return text.rstrip() if len(text) <= MOST_CHARACTERS else text[: MOST_CHARACTERS - 3] + "..."
 
 
-def _words(value: Any) -> str:
-    words = "; ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return " ".join(words.split())
+def _text(value: Any) -> str:
+    text = "; ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return " ".join(text.split())
 
 
-# ``polishd recording``: what a recording of a cell's wires holds.
+# ``polishd recording``: content of a recording of a cell's links.
 
 COLUMNS = ("device", "link", "opened", "out", "in", "from s", "to s", "longest silence s")
 
 
 def show_verb(file: Path, *, as_json: bool) -> None:
-    """A table of its links; ConfigError where the file is no recording."""
+    """Print a table of the recording's links; raise ConfigError for another file."""
     found = read_recording(file)
     links = _links(found)
     header = {key: value for key, value in found.header.items() if key not in ("polishd_wire", "devices")}
@@ -81,17 +81,17 @@ def _links(found: Recording) -> list[dict[str, Any]]:
 
 
 def _row(link: dict[str, Any]) -> tuple[object, ...]:
-    """Of COLUMNS."""
+    """Return the cells of COLUMNS."""
     ways = (f"{link[way]} ({link[f'bytes_{way}']} B)" for way in ("out", "in"))
     times = (link[key] for key in ("first_s", "last_s", "longest_silence_s"))
     return (link["device"], link["link"], link["opened"], *ways, *times)
 
 
 def _counts(passed: list[WireMessage]) -> dict[str, Any]:
-    """``longest_silence_s``: of what came, while the link was open."""
+    """Count messages and bytes; ``longest_silence_s`` is between incoming messages while the link was open."""
     out, came = ([one for one in passed if one.way == way] for way in ("out", "in"))
-    heard = [one for one in passed if one.way != "out"]
-    gaps = [after.at_s - before.at_s for before, after in pairwise(heard) if after.way == "in" and before.way != "end"]
+    incoming = [one for one in passed if one.way != "out"]
+    gaps = [b.at_s - a.at_s for a, b in pairwise(incoming) if b.way == "in" and a.way != "end"]
     return {
         "opened": sum(one.way == "open" for one in passed),
         "out": len(out),

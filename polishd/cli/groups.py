@@ -1,4 +1,4 @@
-"""Verbs of a cell that come in groups: its queue, its service, recordings of its wires, and certificates."""
+"""Command groups of a cell: queue, service, recordings of its links, and certificates."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from polishd.commissioning.calibration.options import InstrumentOptions
 from polishd.reports.certificate.issue import CertificateOptions
 from polishd.util.command_line import Cell, CommandGroup, Json, spread_options
 
-jobs = typer.Typer(help="The queue of a cell: parts, one after another.")
-services = typer.Typer(help="Run a cell as a service of systemd.")
-recordings = typer.Typer(help="Recordings of a cell's wires (run --record).")
-reports = typer.Typer(cls=CommandGroup, help="Certificates of parts: made, signed, verified.")
+jobs = typer.Typer(help="The queue of a cell: jobs, one after another.")
+services = typer.Typer(help="Run a cell as a systemd service.")
+recordings = typer.Typer(help="Recordings of a cell's links (run --record).")
+reports = typer.Typer(cls=CommandGroup, help="Certificates of parts: make, sign, verify.")
 
-Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for the journal, and for status.")]
-JobId = Annotated[str, Argument(metavar="ID", help="Its job.id.", show_default=False)]
-Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Each cell's configuration.", show_default=False)]
-Queued = Annotated[bool, Option("--queue", help="They work their queues, as with polishd run --queue.")]
+Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Reason, for the journal and for status")]
+JobId = Annotated[str, Argument(metavar="ID", help="job.id of the job", show_default=False)]
+Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Configuration of each cell", show_default=False)]
+Queued = Annotated[bool, Option("--queue", help="Run the cells' queues, as polishd run --queue")]
 Beside = Annotated[
     Literal["web", "opcua", "shop-connect", "shop-serve"] | None,
-    Option(help="Not of the daemon, but of what runs beside it; of shop-serve the file is SHOP.toml."),
+    Option(help="Unit of this server instead of the daemon; for shop-serve the file is SHOP.toml"),
 ]
-Scope = Annotated[bool, Option("--system/--user", help="The computer's systemd, or that of the present user.")]
+Scope = Annotated[bool, Option("--system/--user", help="Use the systemd of the computer, or of the present user")]
 
 
 def opcua(cell: Cell) -> None:
-    """Serve a cell to OPC UA clients on this computer, as a machine of OPC 40001-1; ends with Ctrl-C. Reads only."""
+    """Serve a cell to OPC UA clients on this computer, as a machine of OPC 40001-1, until Ctrl-C. Read-only."""
     from polishd.cli.cell import opcua_verb
 
     opcua_verb(cell)
@@ -40,10 +40,10 @@ def opcua(cell: Cell) -> None:
 def queue_add(
     *,
     cell: Cell,
-    files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order.", show_default=False)],
+    files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order", show_default=False)],
     as_json: Json = False,
 ) -> None:
-    """Judge jobs as a whole, as check does, and put them at the end of the queue: all of them, or none."""
+    """Check jobs, as polishd check, and add them at the end of the queue: all of them, or none."""
     from polishd.cli.queue import add_verb
 
     add_verb(cell, files, as_json=as_json)
@@ -51,7 +51,7 @@ def queue_add(
 
 @jobs.command("list")
 def queue_list(cell: Cell, as_json: Json = False) -> None:
-    """The queue: what is under way, what waits, and how each job ended."""
+    """List the queue: running, waiting and ended jobs."""
     from polishd.cli.queue import list_verb
 
     list_verb(cell, as_json=as_json)
@@ -63,10 +63,10 @@ def queue_move(
     cell: Cell,
     job: JobId,
     where: Annotated[Literal["before", "after", "first", "last"], Argument(show_default=False)],
-    other: Annotated[str, Argument(metavar="[OTHER]", help="Before or after which job.", show_default=False)] = "",
+    other: Annotated[str, Argument(metavar="[OTHER]", help="The job before or after it", show_default=False)] = "",
     as_json: Json = False,
 ) -> None:
-    """Move a job that waits: before ID, after ID, first, last."""
+    """Move a waiting job: before ID, after ID, first, last."""
     from polishd.cli.queue import move_verb
 
     move_verb(cell, job, where, other, as_json=as_json)
@@ -74,7 +74,7 @@ def queue_move(
 
 @jobs.command("remove")
 def queue_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json = False) -> None:
-    """Take a job out that waits; the one over which the cell is held is set aside."""
+    """Remove a waiting job, or set aside the job for which the cell is held."""
     from polishd.cli.queue import remove_verb
 
     remove_verb(cell, job, reason, as_json=as_json)
@@ -83,23 +83,26 @@ def queue_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json =
 @calibrations.command("instrument")
 @spread_options
 def calibrate_instrument(
-    cell: Annotated[Path, Argument(metavar="CELL.toml", help="The cell whose instrument it is.")],
+    cell: Annotated[Path, Argument(metavar="CELL.toml", help="The instrument's cell")],
     maps: Annotated[
-        list[Path] | None, Argument(metavar="[MAP...]", help="One part, turned; none: taken as they come.")
+        list[Path] | None, Argument(metavar="[MAP...]", help="Maps of one part, rotated (default: take new maps)")
     ] = None,
     *,
     as_json: Json = False,
-    asked: InstrumentOptions,
+    options: InstrumentOptions,
 ) -> None:
-    """Tell the instrument's own error by turning the part, into its profile; without --angles: which turns it takes."""
+    """Measure the instrument's error from maps of a rotated part, and write it into its profile.
+
+    Without --angles: show the required rotations.
+    """
     from polishd.commissioning.calibration.instrument import calibrate_verb
 
-    calibrate_verb(cell, maps or [], asked, as_json=as_json)
+    calibrate_verb(cell, maps or [], options, as_json=as_json)
 
 
 @services.command("install")
 def service_install(files: Served, *, system: Scope, queue: Queued = False, of: Beside = None) -> None:
-    """Write a unit that runs these cells in one process, supervised; says how to start it."""
+    """Write a systemd unit that runs these cells in one supervised process, and show how to start it."""
     from polishd.cli.service import install_verb
 
     install_verb(files, system=system, queue=queue, of=of)
@@ -107,7 +110,7 @@ def service_install(files: Served, *, system: Scope, queue: Queued = False, of: 
 
 @services.command("show")
 def service_show(files: Served, *, system: Scope, queue: Queued = False, of: Beside = None) -> None:
-    """Print that unit; nothing is written."""
+    """Print the systemd unit; write nothing."""
     from polishd.cli.service import show_verb
 
     show_verb(files, system=system, queue=queue, of=of)
@@ -115,9 +118,9 @@ def service_show(files: Served, *, system: Scope, queue: Queued = False, of: Bes
 
 @recordings.command("show")
 def record_show(
-    file: Annotated[Path, Argument(metavar="FILE", help="A recording.", show_default=False)], as_json: Json = False
+    file: Annotated[Path, Argument(metavar="FILE", help="A recording", show_default=False)], as_json: Json = False
 ) -> None:
-    """Each link: messages and bytes either way, first and last, the longest silence; and what is missing."""
+    """Show each link: messages and bytes in both directions, first and last time, longest silence; missing data."""
     from polishd.cli.events import show_verb
 
     show_verb(file, as_json=as_json)
@@ -127,26 +130,26 @@ def record_show(
 @spread_options
 def report_certificate(
     run: Annotated[
-        Path, Argument(metavar="RUN|CELL.toml", help="A run folder, or a cell: its last job.", show_default=False)
+        Path, Argument(metavar="RUN|CELL.toml", help="A run folder, or a cell for its last job", show_default=False)
     ],
     *,
     as_json: Json = False,
-    asked: CertificateOptions,
+    options: CertificateOptions,
 ) -> None:
-    """The certificate of a part, for the customer: a PDF and its twin in JSON, signed where the shop has a key."""
+    """Make the certificate of a part for the customer, as PDF and JSON, signed if the shop has a key."""
     from polishd.reports.certificate.issue import certificate_verb
 
-    certificate_verb(run, asked, as_json=as_json)
+    certificate_verb(run, options, as_json=as_json)
 
 
 @reports.command("verify")
 def report_verify(
-    file: Annotated[Path, Argument(metavar="FILE.pdf|FILE.json", help="A certificate.", show_default=False)],
+    file: Annotated[Path, Argument(metavar="FILE.pdf|FILE.json", help="A certificate", show_default=False)],
     *,
-    key: Annotated[Path | None, Option("--key", metavar="PUBLIC", help="The shop's public key.")] = None,
+    key: Annotated[Path | None, Option("--key", metavar="PUBLIC", help="The shop's public key")] = None,
     as_json: Json = False,
 ) -> None:
-    """Whether a certificate is as it was made, PDF and twin, and whether that key signed it; exit code 1: it is not."""
+    """Verify that a certificate, PDF and JSON, is unchanged and signed with that key; exit code 1 if not."""
     from polishd.reports.certificate.issue import verify_verb
 
     verify_verb(file, key, as_json=as_json)
@@ -155,7 +158,7 @@ def report_verify(
 @reports.command("keygen")
 def report_key(
     file: Annotated[
-        Path, Argument(metavar="FILE", help="The new private key; FILE.pub beside it.", show_default=False)
+        Path, Argument(metavar="FILE", help="New private key; the public key is FILE.pub", show_default=False)
     ],
     as_json: Json = False,
 ) -> None:
@@ -167,7 +170,7 @@ def report_key(
 
 @reports.command("schema")
 def report_schema() -> None:
-    """Print the JSON Schema of a certificate's twin."""
+    """Print the JSON Schema of a certificate."""
     from polishd.reports.certificate.issue import schema_verb
 
     schema_verb()

@@ -1,4 +1,4 @@
-"""``polishd hil``: says what will move, asks, and runs the ports' suites on the devices of a real cell."""
+"""``polishd hil``: list the motions, confirm, and run the ports' test suites on the devices of a real cell."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def hil_verb(
     yes: bool,
     as_json: bool,
 ) -> None:
-    """DeviceFault where a demand is not kept; ConfigError where nothing was tried.
+    """Run the suites; raise DeviceFault if a requirement fails, ConfigError if nothing was tested.
 
-    With ``as_json`` what people read goes to stderr.
+    With ``as_json`` text for people goes to stderr.
     """
     if importlib.util.find_spec("pytest") is None or importlib.util.find_spec("pytest_asyncio") is None:
         raise ConfigError("polishd hil needs pytest: pip install 'polishd[testing]'; nothing was opened")
@@ -65,13 +65,13 @@ def _ask(*, yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        raise ConfigError("nobody is there to ask; --yes goes on without asking. Nothing was opened")
+        raise ConfigError("no terminal for the confirmation; use --yes to continue without it. Nothing was opened")
     if not typer.confirm("Keep clear, and a hand on the emergency stop. Go on?", err=True):
         raise typer.Exit(1)
 
 
 def _run(suites: list[str], options: list[str], out: TextIO | None) -> tuple[int, dict[str, Any]]:
-    """The exit code of pytest and what it found: whatever project the person stands in has no say in its process."""
+    """Run pytest, independent of the project in the current folder, and return its exit code and results."""
     folder = Path(str(files("polishd.testing") / "suites"))
     with tempfile.TemporaryDirectory(prefix="polishd-hil-") as scratch:
         ini = Path(scratch) / "pytest.ini"
@@ -85,11 +85,11 @@ def _run(suites: list[str], options: list[str], out: TextIO | None) -> tuple[int
                 try:
                     return process.wait(), _found(report)
                 except KeyboardInterrupt:
-                    continue  # it has heard it, too, and makes the device safe that it has open
+                    continue  # pytest receives the signal, too, and makes the open device safe
 
 
 def _found(report: Path) -> dict[str, Any]:
-    """How many demands are kept, not kept, and not tried; which are not kept, and why."""
+    """Count requirements that are met, not met and skipped, and list those that are not met with the reason."""
     tests = list(ET.parse(report).iter("testcase")) if report.exists() else []  # noqa: S314 - our own
     broken = {
         test.attrib["name"]: wrong.attrib.get("message", "")
@@ -103,11 +103,11 @@ def _found(report: Path) -> dict[str, Any]:
 
 
 def _judge(code: int) -> None:
-    """What an exit code of pytest means here."""
+    """Turn an exit code of pytest into an error."""
     if code == KEPT:
         return
     if code == BROKEN:
-        raise DeviceFault("a device does not do what its port demands: see above; docs/drivers.md has the ports")
+        raise DeviceFault("a device does not meet the requirements of its port: see above and docs/drivers.md")
     if code == INTERRUPTED:
         raise typer.Exit(130)
     if code == REFUSED:

@@ -1,4 +1,4 @@
-"""``polishd history``: what became of a cell's parts, as a table, as JSON, and as a picture."""
+"""``polishd history``: the history of a cell's parts as a table, JSON and a picture."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HISTORY_COLUMNS = ("job", "part", "began, UTC", "took", "passes", "RMS nm", "wor
 
 
 def history_verb(cell: Path, out: Path | None, *, as_json: bool) -> None:
-    """Read the journal, and show it; no daemon is needed, and none is disturbed."""
+    """Read the journal, and show it. This needs no daemon, and does not disturb one."""
     config = load_config(cell)
     jobs = read_history(config.state_dir)
     if out is not None:
@@ -43,16 +43,16 @@ def history_verb(cell: Path, out: Path | None, *, as_json: bool) -> None:
 
 
 def history_table(name: str, jobs: Sequence[JobHistory]) -> Table:
-    """A row a job, and how many parts came into tolerance."""
+    """Return a table with a row for each job, and the number of parts by outcome."""
     ended = Counter(job.outcome or "under way, or given up" for job in jobs)
     words = ", ".join(f"{count} {outcome.replace('_', ' ')}" for outcome, count in ended.most_common())
-    told = [one.as_forecast for job in jobs for one in job.measured if one.as_forecast is not None]
-    held = f"; {sum(told)} of {len(told)} passes as forecast, and 9 of 10 are to be" if told else ""
+    forecast = [one.as_forecast for job in jobs for one in job.measured if one.as_forecast is not None]
+    held = f"; {sum(forecast)} of {len(forecast)} passes as forecast (expected: 9 of 10)" if forecast else ""
     return figure_table(f"{name}: {len(jobs)} jobs ({words}){held}", HISTORY_COLUMNS, map(_history_row, jobs))
 
 
 def fault_tables(jobs: Sequence[JobHistory]) -> list[Table]:
-    """What somebody had to see to, by kind, the most frequent first; no table where there was nothing."""
+    """Return the table of faults that needed an operator, by kind, the most frequent first; none without faults."""
     faults = [(fault, job) for job in jobs for fault in job.faults]
     last = {fault.kind: (fault, job) for fault, job in faults}
     rows = [
@@ -81,7 +81,7 @@ def _history_row(job: JobHistory) -> Sequence[str]:
 
 
 def _facts(job: JobHistory) -> Mapping[str, Any]:
-    """For programs: times as ISO 8601."""
+    """Return a job's facts for programs, with times as ISO 8601."""
     facts = asdict(job)
     measured = [
         {**asdict(one), "judged": [line.facts() for line in one.judged], "at": _iso(one.at_s)} for one in job.measured
@@ -92,7 +92,7 @@ def _facts(job: JobHistory) -> Mapping[str, Any]:
 
 
 def _took(seconds: float) -> str:
-    """Hours and minutes."""
+    """Format as hours and minutes."""
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes:02d} min"
 
@@ -108,13 +108,13 @@ def _iso(at_s: float) -> str:
 # The picture of ``polishd history``: how parts converged, the removal rate, and faults over the weeks.
 
 KINDS, OTHERS = 6, "others"
-"""Kinds of faults that have a colour of their own; the rest are one."""
+"""Number of fault kinds with their own color, and the name of the rest."""
 DAY_S = 86400.0
 """Dates are days since 1970, as matplotlib has them."""
 
 
 def draw(name: str, jobs: Sequence[JobHistory]) -> bytes:
-    """A PNG of three panels, one above the other."""
+    """Return a PNG of three panels, one above the other."""
     with polishd_style():
         fig = figure(8.0, 9.0)
         converged, rates, faults = fig.subplots(3, 1)
@@ -126,7 +126,7 @@ def draw(name: str, jobs: Sequence[JobHistory]) -> bytes:
 
 
 def _converged(ax: Axes, jobs: Sequence[JobHistory]) -> None:
-    """RMS of each part, measurement by measurement: the older ones pale."""
+    """Draw the RMS of each part over its measurements; older parts are pale."""
     shades = mpl.colormaps["Blues"](np.linspace(0.3, 0.95, len(jobs)))
     for job, shade in zip(jobs, shades, strict=True):
         good = job.outcome == "in_tolerance"
@@ -143,7 +143,7 @@ def _converged(ax: Axes, jobs: Sequence[JobHistory]) -> None:
 
 
 def _rates(ax: Axes, jobs: Sequence[JobHistory]) -> None:
-    """The removal rate that each pass showed, with its standard error."""
+    """Draw the removal rate of each pass with its standard error."""
     shown = [(one.at_s / DAY_S, one.rate, one.rate_sigma or 0.0) for job in jobs for one in job.measured if one.rate]
     ax.axhline(1.0, color=MUTED, linewidth=1.0)
     if shown:
@@ -155,7 +155,7 @@ def _rates(ax: Axes, jobs: Sequence[JobHistory]) -> None:
 
 
 def _faults(ax: Axes, jobs: Sequence[JobHistory]) -> None:
-    """What somebody had to see to, a bar a week, the most frequent kinds below."""
+    """Draw faults that needed an operator, one bar a week, the most frequent kinds below."""
     faults = [(fault.kind, _monday(fault.at_s)) for job in jobs for fault in job.faults]
     named = [kind for kind, _ in Counter(kind for kind, _ in faults).most_common(KINDS)]
     counts = Counter((kind if kind in named else OTHERS, week) for kind, week in faults)
@@ -185,19 +185,19 @@ def _dated(ax: Axes, *, empty: bool) -> None:
 
 
 def _monday(at_s: float) -> float:
-    """Day number of the week's first day, UTC: day 0 was a Thursday."""
+    """Return the day number of the week's first day, UTC (day 0 was a Thursday)."""
     day = at_s // DAY_S
     return day - (day + 3) % 7
 
 
-# ``polishd estimates``: what a cell has learned and the next job begins with; and how it is forgotten.
+# ``polishd estimates``: the estimates with which the next job starts, and their deletion.
 
-ESTIMATE_COLUMNS = ("tool", "job", "pass", "taught, UTC", "rate", "+-", "ms a block", "more")
-PARAMETERS = ("parameter", "value", "+-", "plans count with")
+ESTIMATE_COLUMNS = ("tool", "job", "pass", "at, UTC", "rate", "+-", "ms a block", "more")
+PARAMETERS = ("parameter", "value", "+-", "used in plans")
 
 
-def beliefs_verb(cell: Path, *, as_json: bool) -> None:
-    """The last lesson of each series, read beside a daemon that may be running. ConfigError."""
+def estimates_verb(cell: Path, *, as_json: bool) -> None:
+    """Show the last estimates of each series; a daemon may run meanwhile. Raise ConfigError."""
     config = load_config(cell)
     with read_only(config.state_dir) as journal:
         last = list(_last(journalled_estimates(lambda sql, values: journal.execute(sql, values).fetchall())))
@@ -205,23 +205,23 @@ def beliefs_verb(cell: Path, *, as_json: bool) -> None:
         {"cell": config.cell.name, "remember": config.estimates.use_previous, "beliefs": [asdict(one) for one in last]},
         as_json=as_json,
         table=lambda: Group(_table(config.cell.name, last), *(_parameters(one) for one in last if _means(one))),
-        lines=_words(remember=config.estimates.use_previous, found=bool(last)),
+        lines=_notes(use_previous=config.estimates.use_previous, found=bool(last)),
     )
 
 
 def forget_verb(cell: Path, reason: str, *, as_json: bool) -> None:
-    """Begin anew: nothing that was taught so far is remembered. ConfigError where a daemon runs the cell."""
+    """Start the next job without earlier estimates. Raise ConfigError if a daemon runs the cell."""
     config = load_config(cell)
     forget_estimates(config.state_dir, reason)
     emit(
         {"cell": config.cell.name, "forgotten": True, "reason": reason},
         as_json=as_json,
-        lines=[f"{config.cell.name}: the next job begins with nothing learned; the journal keeps what was"],
+        lines=[f"{config.cell.name}: the next job starts without estimates; the journal keeps the earlier ones"],
     )
 
 
 def _last(found: Iterable[JournalledEstimates]) -> Iterator[JournalledEstimates]:
-    """Of each series; none where a person had to see to the tool since."""
+    """Yield the last estimates of each series, unless the operator has changed the tool since."""
     seen: set[str] = set()
     for one in found:
         if one.series not in seen and not one.anew:
@@ -229,17 +229,17 @@ def _last(found: Iterable[JournalledEstimates]) -> Iterator[JournalledEstimates]
         seen.add(one.series)
 
 
-def _words(*, remember: bool, found: bool) -> Iterator[str]:
-    if not remember:
-        yield "estimates.use_previous is false: a job begins with nothing learned"
+def _notes(*, use_previous: bool, found: bool) -> Iterator[str]:
+    if not use_previous:
+        yield "estimates.use_previous is false: a job starts without estimates"
     elif not found:
-        yield "nothing is remembered: the next job begins with the rate as it is configured"
+        yield "there are no estimates: the next job starts with the configured rate"
     else:
-        yield "a job of the same tool, process, robot and instrument begins with it (docs/beliefs.md)"
+        yield "a job with the same tool, process, robot and instrument starts with them (docs/estimates.md)"
 
 
 def _table(name: str, found: Iterable[JournalledEstimates]) -> Table:
-    return figure_table(f"{name}: what was learned", ESTIMATE_COLUMNS, map(_row, found))
+    return figure_table(f"{name}: estimates", ESTIMATE_COLUMNS, map(_row, found))
 
 
 def _row(one: JournalledEstimates) -> tuple[str, ...]:
@@ -257,7 +257,7 @@ def _row(one: JournalledEstimates) -> tuple[str, ...]:
 
 
 def _parameters(one: JournalledEstimates) -> Table:
-    """What identification believes, as of its pass (docs/identification.md)."""
+    """Return the table of parameters estimated by identification (docs/identification.md)."""
     removal = one.believed["removal"]
     sigmas = [row[k] ** 0.5 for k, row in enumerate(removal["covariance"])]
     rows = [

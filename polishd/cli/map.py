@@ -1,4 +1,4 @@
-"""The verbs of ``polishd map``: options only. What each does lives in the module that is called as it is."""
+"""Commands of ``polishd map``: options only."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from polishd.maps.options import (
 from polishd.util.command_line import spread_options
 
 DEFAULT = "figures"
-"""What ``polishd map FILE`` does."""
+"""Command of ``polishd map FILE``."""
 HELP = (
-    "Maps of surfaces: polishd map FILE... gives their figures (options: polishd map figures --help); or compare, "
-    "report, convert, average, subtract, stitch, absolute, commission."
+    "Surface maps: polishd map FILE... shows their figures (options: polishd map figures --help); other commands "
+    "compare, report, convert, average, subtract, stitch, separate errors and commission."
 )
 
 
 class MapGroup(TyperGroup):
-    """Takes files where other groups take a verb. A file that is called like a verb is given as ``./compare``."""
+    """Group that accepts files instead of a command. Write a file that is named like a command as ``./compare``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """What does not begin with a verb, or ask for help, are files and options of ``figures``."""
+        """Take arguments without a command, except help, as files and options of ``figures``."""
         if args and args[0] not in self.commands and args[0] != "--help":
             args = [DEFAULT, *args]
         found: list[str] = super().parse_args(ctx, args)
@@ -53,7 +53,7 @@ def figures(
     as_json: Json = False,
     asked: FigureOptions,
 ) -> None:
-    """Shape, pitch, PV, RMS, bands and warnings of each map: what "polishd map FILE..." does."""
+    """Show shape, pitch, PV, RMS, bands and warnings of each map, as "polishd map FILE..."."""
     from polishd.maps.inspect import figures_verb
 
     figures_verb(files, asked, as_json=as_json)
@@ -68,7 +68,7 @@ def compare(
     as_json: Json = False,
     asked: FigureOptions,
 ) -> None:
-    """PV, RMS and bands of two maps over the samples that both have, and how much they fell."""
+    """Compare PV, RMS and bands of two maps over their common samples, with the reduction."""
     from polishd.maps.compare import compare_verb
 
     compare_verb(before, after, asked, as_json=as_json)
@@ -82,7 +82,7 @@ def report(
     as_json: Json = False,
     asked: ReportOptions,
 ) -> None:
-    """A report for the customer, HTML or PDF: figures in nm and waves, ISO 10110, Zernike, slope, profiles, PSD."""
+    """Make a report for the customer, HTML or PDF: figures in nm and waves, ISO 10110, Zernike, slope, PSD."""
     from polishd.reports.map_report import report_verb
 
     report_verb(files, asked, as_json=as_json)
@@ -91,13 +91,13 @@ def report(
 @app.command()
 @spread_options
 def convert(
-    source: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
-    target: Annotated[Path, Argument(metavar="B", help="The new file; its ending says the format.")],
+    source: Annotated[Path, Argument(metavar="A", help="A map", readable=False)],
+    target: Annotated[Path, Argument(metavar="B", help="New file; its ending sets the format")],
     *,
     as_json: Json = False,
     asked: WriteOptions,
 ) -> None:
-    """Write a map in another format; it is read back and compared before it appears."""
+    """Write a map in another format, after reading it back for comparison."""
     from polishd.maps.convert import convert_verb
 
     convert_verb(source, target, asked, as_json=as_json)
@@ -106,12 +106,12 @@ def convert(
 @app.command()
 @spread_options
 def average(
-    files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeats.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeated maps", readable=False)],
     *,
     as_json: Json = False,
     asked: AverageOptions,
 ) -> None:
-    """The mean of repeated measurements, without maps and samples that deviate, and its uncertainty."""
+    """Average repeated measurements without outlying maps and samples, with the uncertainty."""
     from polishd.maps.arithmetic import average_verb
 
     average_verb(files, asked, as_json=as_json)
@@ -120,13 +120,13 @@ def average(
 @app.command()
 @spread_options
 def subtract(
-    first: Annotated[Path, Argument(metavar="A", help="A map.", readable=False)],
-    second: Annotated[Path, Argument(metavar="B", help="What is taken off it: a reference, say.", readable=False)],
+    first: Annotated[Path, Argument(metavar="A", help="A map", readable=False)],
+    second: Annotated[Path, Argument(metavar="B", help="Map to subtract, such as a reference", readable=False)],
     *,
     as_json: Json = False,
     asked: NewMapOptions,
 ) -> None:
-    """A less B, over the samples that both have: a reference, a system error, the wavefront of a test stand."""
+    """Subtract map B from map A over their common samples: a reference, a system error, a test stand's wavefront."""
     from polishd.maps.arithmetic import subtract_verb
 
     subtract_verb(first, second, asked, as_json=as_json)
@@ -136,13 +136,13 @@ def subtract(
 @spread_options
 def stitch(
     files: Annotated[
-        list[Path], Argument(metavar="MAP...", help="Sub-apertures; the first is the reference.", readable=False)
+        list[Path], Argument(metavar="MAP...", help="Sub-apertures; the first is the reference", readable=False)
     ],
     *,
     as_json: Json = False,
     asked: StitchOptions,
 ) -> None:
-    """Overlapping sub-apertures as one map, by least squares over what differs from map to map, and its uncertainty."""
+    """Stitch overlapping sub-apertures into one map, by least squares of their alignments, with the uncertainty."""
     from polishd.maps.stitch import stitch_verb
 
     stitch_verb(files, asked, as_json=as_json)
@@ -151,12 +151,12 @@ def stitch(
 @app.command()
 @spread_options
 def absolute(
-    files: Annotated[list[Path], Argument(metavar="MAP...", help="One part, turned and shifted.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="MAP...", help="One part, rotated and shifted", readable=False)],
     *,
     as_json: Json = False,
     asked: AbsoluteOptions,
 ) -> None:
-    """The instrument's own error and the part, from maps of it turned and shifted, and what they do not tell."""
+    """Separate the instrument's error from the part, from maps of a rotated and shifted part; list unmeasured terms."""
     from polishd.maps.absolute_test import absolute_verb
 
     absolute_verb(files, asked, as_json=as_json)
@@ -165,14 +165,14 @@ def absolute(
 @app.command()
 def commission(
     *,
-    profile: Annotated[Path, Argument(metavar="P.toml", help="The instrument's profile.", readable=False)],
-    surface: Annotated[Path, Argument(metavar="MAP", help="A map.", readable=False)],
-    out: Annotated[Path | None, Option("--out", metavar="PNG", help="Draw what was found.")] = None,
+    profile: Annotated[Path, Argument(metavar="P.toml", help="The instrument's profile", readable=False)],
+    surface: Annotated[Path, Argument(metavar="MAP", help="Map of the artefact", readable=False)],
+    out: Annotated[Path | None, Option("--out", metavar="PNG", help="Draw the result")] = None,
     as_json: Json = False,
     cell: OfCell = None,
     masks: Masks = None,
 ) -> None:
-    """Prove an instrument's profile with a map of its artefact, and record it: before that no map drives polishing."""
+    """Commission an instrument's profile with a map of its artefact. Polishing needs a commissioned profile."""
     from polishd.maps.commission import commission_verb
 
     commission_verb(profile, surface, out, cell, masks, as_json=as_json)
@@ -180,7 +180,7 @@ def commission(
 
 @app.command()
 def formats(as_json: Json = False, cell: OfCell = None) -> None:
-    """The formats that can be read, in the order asked, and written, and what is not installed for the rest."""
+    """List the formats that can be read, in their order, and written, and missing packages for others."""
     from polishd.maps.inspect import formats_verb
 
     formats_verb(cell, as_json=as_json)

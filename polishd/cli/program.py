@@ -1,4 +1,4 @@
-"""The verbs of ``polishd program``: options only. What they do lives in the modules beside."""
+"""Commands of ``polishd program``: options only."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typer import Argument, Option
 from polishd.programs.options import Encoding, MakeOptions
 from polishd.util.command_line import Json, spread_options
 
-app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, prove that the motion stayed, make new ones.")
+app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, verify equal motion, make new ones.")
 
-# readable=False: what cannot be read is exit code 9, as what is not there is; typer would make it 2
-File = Annotated[Path, Argument(metavar="FILE", help="The RNC program.", readable=False)]
+# readable=False: a file that cannot be read has exit code 9, as a missing file; typer would use 2
+File = Annotated[Path, Argument(metavar="FILE", help="The RNC program", readable=False)]
 Dialect = Annotated[
     str | None,
     Option(
         metavar="NAME|D.toml",
-        help="Its dialect (polishd program dialects), or a profile of your own; default: by its text and ending.",
+        help="Its dialect (polishd program dialects), or your own profile (default: detected from text and ending)",
     ),
 ]
 
@@ -28,10 +28,10 @@ Dialect = Annotated[
 def inspect(
     file: File,
     dialect: Dialect = None,
-    picture: Annotated[Path | None, Option(metavar="PNG", help="Draw where it dwells, and for how long.")] = None,
+    picture: Annotated[Path | None, Option(metavar="PNG", help="Draw the dwell along the path")] = None,
     as_json: Json = False,
 ) -> None:
-    """Points, dwell, feeds, bounds and warnings of a program; refuses what cannot be read without guessing."""
+    """Show points, dwell, feeds, bounds and warnings of a program. An ambiguous program is refused."""
     from polishd.programs.show import inspect_verb
 
     inspect_verb(file, dialect, picture, as_json=as_json)
@@ -42,17 +42,15 @@ def rewrite(
     *,
     file: File,
     dwell: Annotated[
-        Path, Option(metavar="CSV", help="One dwell in seconds a row, no header, one row a point.", readable=False)
+        Path, Option(metavar="CSV", help="Dwell of each point in seconds, one per row, no header", readable=False)
     ],
-    out: Annotated[Path, Option(metavar="FILE", help="The new program; not FILE itself.")],
+    out: Annotated[Path, Option(metavar="FILE", help="The new program; not the same file")],
     dialect: Dialect = None,
-    encoding: Annotated[
-        Encoding | None, Option(help="Where the time is written; default: where the program has it.")
-    ] = None,
-    comment: Annotated[bool, Option("--comment", help="Say in the first line what was done.")] = False,
+    encoding: Annotated[Encoding | None, Option(help="Encoding of the time (default: as in the program)")] = None,
+    comment: Annotated[bool, Option("--comment", help="Add a comment on the change in the first line")] = False,
     as_json: Json = False,
 ) -> None:
-    """Other dwells in the same program: changes the numbers that carry time, and no other byte."""
+    """Rewrite the dwells of a program. Only the numbers of times change, and no other byte."""
     from polishd.programs.show import rewrite_verb
 
     rewrite_verb(file, dwell, out, dialect, encoding, comment=comment, as_json=as_json)
@@ -60,15 +58,15 @@ def rewrite(
 
 @app.command()
 def verify(
-    old: Annotated[Path, Argument(metavar="OLD", help="The program as it was.", readable=False)],
-    new: Annotated[Path, Argument(metavar="NEW", help="The program as it is.", readable=False)],
+    old: Annotated[Path, Argument(metavar="OLD", help="The old program", readable=False)],
+    new: Annotated[Path, Argument(metavar="NEW", help="The new program", readable=False)],
     dialect: Dialect = None,
     interpreter: Annotated[
-        Literal["rs274"] | None, Option("--with", help="Prove it with LinuxCNC's interpreter, too.")
+        Literal["rs274"] | None, Option("--with", help="Verify with LinuxCNC's interpreter, too")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Prove that two programs move alike, and list what changed; exit code 9 where it is not proved."""
+    """Verify that two programs have the same motion, and list the changes; exit code 9 if not."""
     from polishd.programs.show import verify_verb
 
     verify_verb(old, new, dialect, with_rs274=interpreter is not None, as_json=as_json)
@@ -76,7 +74,7 @@ def verify(
 
 @app.command()
 def dialects(as_json: Json = False) -> None:
-    """The dialects that polishd reads: how each writes a dwell, in which unit, how finely."""
+    """List the dialects that polishd reads, with form, unit and resolution of their dwells."""
     from polishd.programs.show import dialects_verb
 
     dialects_verb(as_json=as_json)
@@ -85,7 +83,7 @@ def dialects(as_json: Json = False) -> None:
 @app.command()
 @spread_options
 def make(asked: MakeOptions, as_json: Json = False) -> None:
-    """Make a raster or a spiral over an aperture, on a flat, sphere or asphere, with the tool along its normals."""
+    """Make a raster or a spiral over a flat, spherical or aspheric aperture, with the tool along its normals."""
     from polishd.programs.make import make_verb
 
     make_verb(asked, as_json=as_json)

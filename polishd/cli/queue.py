@@ -1,4 +1,4 @@
-"""``polishd queue``: the queue of a cell. A running daemon is asked; where none runs, the journal is written here."""
+"""``polishd queue``: the queue of a cell, through the running daemon, or in the journal if none runs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLUMNS = ("job", "part", "state", "added", "why")
 
 
 def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
-    """Judge them all, then add them."""
+    """Check all jobs, then add them."""
     from polishd.daemon.checks import check_jobs
 
     config, hooks = load_cell(cell)
@@ -44,7 +44,7 @@ def move_verb(cell: Path, job: str, where: str, other: str, *, as_json: bool) ->
 
 
 def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
-    """Take one out."""
+    """Remove a job."""
     config = load_config(cell)
     _show(config, _ask(config, "queue_remove", job=job, reason=reason, by=terminal_user()), as_json=as_json)
 

@@ -1,4 +1,4 @@
-"""``polishd run``: the daemons of one cell or several, watched, and how each of them ended."""
+"""``polishd run``: run the daemons of one or several cells, show their events and how each ended."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from polishd.cli.status import last_words, tell
+from polishd.cli.status import end_rows, print_end
 from polishd.config.cell import CellConfig
 from polishd.daemon.app import CellRun, run_cells
 from polishd.daemon.runtime.exit_record import for_cell
@@ -22,21 +22,21 @@ from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import emit, key_table, outcome_tables, say, stderr
 from polishd.util.threads import run_loop
 
-# What a person sees while jobs run: a line a measurement, and a bar for each cell.
+# Output while jobs run: a line for each measurement, and a bar for each cell.
 
 Show = Callable[[str, int | None, Mapping[str, Any]], None]
 """(event's name, its cycle, its data)."""
 
 
 AFTER = {"pass_ended": "cycle {cycle}: measuring", "run_folder_completed": "writing the report"}
-"""What goes on after an event."""
+"""Activity after an event."""
 
 
 @contextmanager
 def progress(cells: Sequence[tuple[str, Path]]) -> Iterator[list[Show]]:
-    """Show events of each cell on stderr for as long as the block lasts; stdout stays free for programs.
+    """Show events of each cell on stderr while the block runs; stdout stays free for programs.
 
-    ``cells`` are what each one's lines begin with (nothing, for one), and what commands are told with.
+    ``cells`` are the prefix of each cell's lines (empty for one cell), and its path for commands in messages.
     """
     words = [TextColumn(text, markup=False) for text in ("{task.description}", "{task.fields[note]}")]
     columns = (words[0], BarColumn(), words[1], TimeElapsedColumn())
@@ -46,7 +46,7 @@ def progress(cells: Sequence[tuple[str, Path]]) -> Iterator[list[Show]]:
 
 def _trouble(name: str, data: Mapping[str, Any]) -> str:
     if name == "map_refused":
-        return f"waiting for another map: {data['file']} is refused: {data['reason']}. To do: {data['todo']}"
+        return f"waiting for another map: {data['file']} was refused: {data['reason']}. To do: {data['todo']}"
     who = data.get("kind") or data.get("notifier") or data["signal"]
     return f"{who}: {data.get('error') or data['what']}"
 
@@ -59,7 +59,7 @@ class _Line:
         self._task: TaskID = bar.add_task(f"{prefix}starting", total=None, note="")
 
     def show(self, name: str, cycle: int | None, data: Mapping[str, Any]) -> None:
-        """An event."""
+        """Show an event."""
         match name:
             case "map_measured":
                 self._measured(cycle, data)
@@ -97,7 +97,7 @@ class _Line:
     def _state(self, data: Mapping[str, Any]) -> None:
         match data["state"]:
             case "held":
-                for word, text in [("held", data["reason"]), *last_words(data, self._cell)]:
+                for word, text in [("held", data["reason"]), *end_rows(data, self._cell)]:
                     self._print(f"{word}: {text}")
                 self._update("held", total=None, note="")
             case "starting" if data["reason"]:
@@ -110,7 +110,7 @@ class _Line:
                 pass
 
     def _show_queue(self, name: str, data: Mapping[str, Any]) -> None:
-        """What happens between jobs."""
+        """Show an event between jobs."""
         match name:
             case "job_started":
                 self._print(f"job {data['job']}, part {data['part_id']}")
@@ -140,18 +140,14 @@ def run_verb(
     until_empty: bool = False,
     record: Path | None = None,
 ) -> int:
-    """Run the daemons; the worst exit code. The last lines on stderr say how each cell stands and what to do."""
+    """Run the daemons, and return the worst exit code. The last lines on stderr show each cell's state and advice."""
     try:
         if until_empty and not queue:
-            raise ConfigError("--until-empty goes with --queue; add that, or leave both away")
+            raise ConfigError("--until-empty needs --queue; add it, or remove both")
         if queue and correction is not None:
-            raise ConfigError(
-                "--correction is for the cell's own job; a job of the queue says process.correction itself"
-            )
+            raise ConfigError("--correction cannot be used with --queue; set process.correction in the job's file")
         if record is not None and len(cells) > 1 and not record.is_dir():
-            raise ConfigError(
-                f"--record {record}: is no folder; several cells have a file each, in a folder that exists"
-            )
+            raise ConfigError(f"--record {record}: is not a folder; name an existing folder for several cells")
         loaded = [load_cell(cell, correction) for cell in cells]
         names = _names(cells, [config for config, _ in loaded])
         with progress(names) as shows:
@@ -171,33 +167,33 @@ def run_verb(
         whole = {"exit_code": worst_exit_code(codes), "cells": {name: _facts(found) for (name, _), found in named}}
         emit(whole, as_json=as_json, table=lambda: Group(*map(_table, summaries.values())))
     for (name, cell), found in named:
-        _tell_end(found, cell, f"{name}: " if name else "")
+        _print_cell_end(found, cell, f"{name}: " if name else "")
     return worst_exit_code(codes)
 
 
 def _table(summary: Mapping[str, Any]) -> RenderableType:
-    """Of a job its measurements; of a queue how many jobs ended how."""
+    """Return the measurements of a job, or the number of jobs of a queue by outcome."""
     if "jobs" not in summary:
         return outcome_tables(summary)
     return key_table(f"queue: {summary['outcome']}", summary["jobs"].items())
 
 
 def worst_exit_code(codes: Sequence[int]) -> int:
-    """A safety stop before everything else, then the highest."""
+    """Return the code of a safety stop if there is one, else the highest code."""
     return max(codes, key=lambda code: (code == SafetyStop.exit_code, code))
 
 
 def _names(cells: Sequence[Path], configs: Sequence[CellConfig]) -> list[tuple[str, Path]]:
-    """What each cell's lines begin with: nothing where there is one, else its name, or its file where two share that.
+    """Return the prefix of each cell's lines: empty for one cell, else its name, or its file if names repeat.
 
-    ConfigError where two have one state folder.
+    Raise ConfigError if two cells have the same state folder.
     """
     if len(cells) == 1:
         return [("", cells[0])]
     for number, config in enumerate(configs):
         for other in configs[:number]:
             if config.state_dir.resolve() == other.state_dir.resolve():
-                problem = f"is that of {other.path}, too; give each cell a state_dir of its own, and name each once"
+                problem = f"is also that of {other.path}; give each cell another state_dir, and name each cell once"
                 raise ConfigError(str(config.error("cell.state_dir", problem)))
     names = [config.cell.name for config in configs]
     return list(zip(names if len(set(names)) == len(names) else map(str, cells), cells, strict=True))
@@ -215,19 +211,19 @@ def _facts(found: Ended) -> Mapping[str, Any]:
     return {"error": str(found), "exit_code": _code(found)} if isinstance(found, Exception) else found
 
 
-def _tell_end(found: Ended, cell: Path, prefix: str) -> None:
+def _print_cell_end(found: Ended, cell: Path, prefix: str) -> None:
     if isinstance(found, PolishdError):
         _opened_nothing(found, prefix, cell)
     elif isinstance(found, Exception):
         if not prefix:
-            raise found  # a fault of ours: with its traceback, which is in the log, too
+            raise found  # a bug: show its traceback, which is also in the log
         say(f"polishd: {prefix}{type(found).__name__}: {found} (more in its log)", err=True)
     else:
         for note in found["notes"]:
             say(f"polishd: {prefix}{note}", err=True)
-        tell(found, cell, prefix)
+        print_end(found, cell, prefix)
 
 
 def _opened_nothing(error: PolishdError, prefix: str, cell: Path) -> int:
-    say(f"polishd: {prefix}{for_cell(str(error), cell)}\n{prefix}this run opened nothing, and moved nothing", err=True)
+    say(f"polishd: {prefix}{for_cell(str(error), cell)}\n{prefix}This run opened nothing and moved nothing", err=True)
     return error.exit_code

@@ -1,4 +1,4 @@
-"""``polishd service``: a unit of systemd that runs a cell, or several, unattended, or what runs beside their daemon."""
+"""``polishd service``: systemd units for the daemon of one or several cells, and for the servers besides it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from polishd.rendering.terminal import say
 from polishd.util.command_line import account_name
 from polishd.util.files import write_atomic
 
-# What all units of systemd share: command lines as it reads them, and where a unit belongs.
+# Common parts of all systemd units: command lines, and the target.
 
 NETWORK = """\
 After=network-online.target
@@ -42,37 +42,37 @@ ProtectControlGroups=yes
 ProtectKernelModules=yes
 ProtectKernelTunables=yes
 """
-"""What only the system's own systemd may give."""
+"""Lines for the system's systemd only."""
 
 
 def command_line(words: Iterable[str]) -> str:
-    """Of ``ExecStart``: this Python's polishd, with those words."""
+    """Return the command line of ``ExecStart``: this Python's polishd with these arguments."""
     return " ".join([quoted(sys.executable, executable=True), *map(quoted, ("-m", "polishd", *words))])
 
 
 def target(*, system: bool) -> str:
-    """What wants it, at each boot or at each login."""
+    """Return the target that starts the unit at each boot or at each login."""
     return "multi-user.target" if system else "default.target"
 
 
 def quoted(word: str, *, executable: bool = False) -> str:
-    """One word of ``ExecStart``: systemd reads escapes, ``%`` and, but in the program's own path, ``$`` in it.
+    """Quote one argument of ``ExecStart``: systemd expands escapes, ``%`` and, except in the program's path, ``$``.
 
-    ConfigError for a line break or another control character, which no unit can hold.
+    Raise ConfigError for a control character, which a unit cannot contain.
     """
     if re.search(r"[\x00-\x1f\x7f]", word):
-        raise ConfigError(f"{word!r}: a unit of systemd cannot name it; rename the file")
+        raise ConfigError(f"{word!r}: a systemd unit cannot contain this name; rename the file")
     text = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
     text = text if executable else text.replace("$", "$$")
     return text if re.fullmatch(r"[\w./+=:@,-]+", text, re.ASCII) else f'"{text}"'
 
 
-# Units of systemd for what runs beside a cell's daemon, and for a shop's server: each a process of its own.
+# Units for the servers besides a cell's daemon, and for a shop's server: one process each.
 
 Beside = Literal["web", "opcua", "shop-connect", "shop-serve"]
 
 WRONG_USE = 2
-"""Exit code of a command line that is wrong."""
+"""Exit code of a wrong command line."""
 
 SERVER_UNIT = """\
 [Unit]
@@ -83,11 +83,11 @@ Description=polishd {what}: {name}
 Type=exec
 ExecStart={command}
 {account}\
-# It moves nothing, and knows nothing that is not on the disk. Over its file or command line (3, 2) it would end again.
+# It moves nothing, and keeps all its data on disk. A wrong file or command line (3, 2) would end it again.
 Restart=always
 RestartPreventExitStatus={wrong_use} {wrong_file}
 RestartSec=10
-# The daemon has 1000.
+# The daemon's weight is 1000.
 CPUWeight=20
 {hardened}\
 {system}\
@@ -99,15 +99,15 @@ WantedBy={target}
 SERVER_SYSTEM_LINES = """\
 OOMScoreAdjust=500
 """
-"""What only the system's own systemd may give. Should memory run out, the daemon is the last to go."""
+"""Lines for the system's systemd only. If memory runs out, the system ends the daemon last."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Process:
     words: tuple[str, ...]
-    """Of its command line, before the file."""
+    """Its command, before the file."""
     name: Callable[[Path], str]
-    """Of its file; ConfigError where that is wrong, or has no section for it."""
+    """Return the name in its file; raise ConfigError if the file is wrong, or lacks its section."""
 
 
 def _opcua(path: Path) -> str:
@@ -120,20 +120,20 @@ def _opcua(path: Path) -> str:
 def _link(path: Path) -> str:
     config = load_config(path)
     if config.shop is None:
-        raise config.error("shop", "is missing: this cell belongs to no shop; add [shop]: docs/shop.md")
+        raise config.error("shop", "is missing; add [shop]: docs/shop.md")
     return config.cell.name
 
 
 PROCESSES: Mapping[Beside, _Process] = {
     "web": _Process(("web",), lambda path: load_config(path).cell.name),
     "opcua": _Process(("opcua",), _opcua),
-    "shop-connect": _Process(("shop", "link"), _link),
+    "shop-connect": _Process(("shop", "connect"), _link),
     "shop-serve": _Process(("shop", "serve"), lambda path: load_shop(path).shop.name),
 }
 
 
 def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]:
-    """What its unit is called after, and its text. ConfigError as of the file that it reads."""
+    """Return the unit's name and text; raise ConfigError of its file."""
     asked = PROCESSES[process]
     name, owner = asked.name(path), path.stat().st_uid
     text = SERVER_UNIT.format(
@@ -152,9 +152,9 @@ def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]
 
 
 WATCHDOG_S = 30
-"""Far above what makes the daemon itself leave contact (docs/host.md)."""
+"""Far longer than the delay after which the daemon leaves contact (docs/host.md)."""
 START_S = 120
-"""Until every cell answers."""
+"""Time limit until every cell answers."""
 
 DAEMON_UNIT = """\
 [Unit]
@@ -171,8 +171,8 @@ TimeoutStartSec={start}
 TimeoutStopSec={stop}
 KillMode=mixed
 SuccessExitStatus=1
-# What was killed comes up held, and moves nothing; so does what ended over a device that was not there yet ({device}).
-# Any other end is one that a person should look at.
+# After a kill the daemon starts held and moves nothing, as after a missing device ({device}). Any other end needs the
+# operator, so there is no restart.
 Restart=on-abnormal
 RestartForceExitStatus={device}
 RestartSec=10
@@ -189,45 +189,45 @@ LimitNICE=-10
 LimitMEMLOCK=infinity
 OOMScoreAdjust=-500
 """
-"""What only the system's own systemd may give."""
+"""Lines for the system's systemd only."""
 
 
 def show_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> None:
-    """Print the unit; nothing is written."""
-    say(_asked(files, system=system, queue=queue, of=of)[1], nl=False)
+    """Print the unit; write nothing."""
+    say(_requested_unit(files, system=system, queue=queue, of=of)[1], nl=False)
 
 
 def install_verb(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> None:
-    """Write the unit where systemd finds it, and say how to start it."""
-    name, text = _asked(files, system=system, queue=queue, of=of)
+    """Write the unit into systemd's folder, and print how to start it."""
+    name, text = _requested_unit(files, system=system, queue=queue, of=of)
     folder = Path("/etc/systemd/system") if system else _user_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomic(folder / name, text.encode())
     except OSError as error:
-        advice = "run this as root, or install with --user" if system else "look at that folder"
+        advice = "run this as root, or install with --user" if system else "check that folder"
         raise ConfigError(f"{folder / name}: cannot be written: {error.strerror}; {advice}") from error
     scope = "" if system else " --user"
     say(f"written: {folder / name}")
     start = f"systemctl{scope} daemon-reload && systemctl{scope} enable --now {name}"
     say(f"start it, now and after each boot: {start}")
     if not system:
-        say("to run while nobody is logged in: loginctl enable-linger")
+        say("to run it also without a login: loginctl enable-linger")
 
 
-def _asked(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> tuple[str, str]:
-    """Name of the unit's file, and its text."""
+def _requested_unit(files: Sequence[Path], *, system: bool, queue: bool, of: Beside | None) -> tuple[str, str]:
+    """Return the name of the unit's file, and its text."""
     if of is None:
         name, text = _unit(files, system=system, queue=queue)
     else:
         if queue or len(files) > 1:
-            raise typer.BadParameter(f"--of {of} takes one file, and no --queue: each is a process of its own")
+            raise typer.BadParameter(f"--of {of} needs one file, and no --queue: one process serves one file")
         name, text = unit_beside(of, files[0], system=system)
     return f"polishd-{re.sub(r'[^A-Za-z0-9_.]+', '-', name).strip('-')}.service", text
 
 
 def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str]:
-    """Name and text of the unit; whatever ``load_cell`` raises of a cell that cannot run."""
+    """Return name and text of the unit; raise the errors of ``load_cell``."""
     configs, end_s = [], 0.0
     for path in cells:
         config, hooks = load_cell(path)

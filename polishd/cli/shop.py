@@ -1,4 +1,4 @@
-"""``polishd shop``: one office for several cells; its verbs and their options."""
+"""``polishd shop``: common queue and history of several cells; commands and their options."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from polishd.util.command_line import Cell, CommandGroup, Json
 
 app = typer.Typer(cls=CommandGroup, help="A shop of several cells: parts, recipes, queue and history in one database.")
 
-Shop = Annotated[Path, Argument(metavar="SHOP.toml", help="The shop's configuration.", show_default=False)]
-JobId = Annotated[str, Argument(metavar="JOB", help="Its job.id.", show_default=False)]
-By = Annotated[str, Option("--by", metavar="NAME", help="Who wants it: for the shop's own journal.")]
-Why = Annotated[str, Option("--reason", metavar="TEXT", help="Why: for whoever reads the shop's journal.")]
-Token = Annotated[str | None, Option(metavar="NAME", help="Make a token, and show it once.")]
-Removed = Annotated[str | None, Option(metavar="NAME", help="Their token is worth nothing any more.")]
+Shop = Annotated[Path, Argument(metavar="SHOP.toml", help="The shop's configuration", show_default=False)]
+JobId = Annotated[str, Argument(metavar="JOB", help="job.id of the job", show_default=False)]
+By = Annotated[str, Option("--by", metavar="NAME", help="Your name, for the shop's journal")]
+Why = Annotated[str, Option("--reason", metavar="TEXT", help="Reason, for the shop's journal")]
+Token = Annotated[str | None, Option(metavar="NAME", help="Add a token, and show it once")]
+Removed = Annotated[str | None, Option(metavar="NAME", help="Remove a token")]
 
 
 @app.command("serve")
@@ -27,10 +27,10 @@ def shop_serve(
     add_cell: Token = None,
     remove_cell: Removed = None,
     add_user: Token = None,
-    role: Annotated[Literal["watch", "operate"], Option(help="With --add-user: what they may.")] = "watch",
+    role: Annotated[Literal["watch", "operate"], Option(help="Role of the new user (with --add-user)")] = "watch",
     remove_user: Removed = None,
 ) -> None:
-    """Serve the shop to its cells; ends with Ctrl-C. With an option: make or end somebody's token instead."""
+    """Serve the shop to its cells until Ctrl-C. With an option: add or remove a token instead."""
     from polishd.cli.shop_commands import serve_verb
 
     serve_verb(shop, add_cell=add_cell, remove_cell=remove_cell, add_user=add_user, role=role, remove_user=remove_user)
@@ -38,7 +38,7 @@ def shop_serve(
 
 @app.command("connect")
 def link(cell: Cell) -> None:
-    """Tell the shop what happens in a cell, and ask it for parts; beside the daemon, ends with Ctrl-C."""
+    """Report a cell's events to the shop, and request parts, in a process besides the daemon, until Ctrl-C."""
     from polishd.cli.shop_commands import link_verb
 
     link_verb(cell)
@@ -48,11 +48,11 @@ def link(cell: Cell) -> None:
 def add(
     *,
     shop: Shop,
-    files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order.", show_default=False)],
+    files: Annotated[list[Path], Argument(metavar="JOB.toml...", help="Jobs, in their order", show_default=False)],
     by: By = "",
     as_json: Json = False,
 ) -> None:
-    """Put jobs at the end of the shop's queue, with the files that they name: all of them, or none."""
+    """Add jobs with their files at the end of the shop's queue: all of them, or none."""
     from polishd.cli.shop_commands import add_verb
 
     add_verb(shop, files, by, as_json=as_json)
@@ -60,7 +60,7 @@ def add(
 
 @app.command("list")
 def shop_parts(shop: Shop, as_json: Json = False) -> None:
-    """The parts of a shop: what waits, which cell has what, and how each ended; and what was decided over them."""
+    """List the parts of a shop: waiting, in a cell, or ended; and decisions on them."""
     from polishd.cli.shop_commands import list_verb
 
     list_verb(shop, as_json=as_json)
@@ -68,7 +68,7 @@ def shop_parts(shop: Shop, as_json: Json = False) -> None:
 
 @app.command("status")
 def status(shop: Shop, as_json: Json = False) -> None:
-    """The cells of a shop: what each does, and since when it has said nothing."""
+    """Show the cells of a shop: state, and time since the last report."""
     from polishd.cli.shop_commands import status_verb
 
     status_verb(shop, as_json=as_json)
@@ -76,18 +76,18 @@ def status(shop: Shop, as_json: Json = False) -> None:
 
 @app.command("history")
 def history(shop: Shop, as_json: Json = False) -> None:
-    """What became of the parts of all cells."""
+    """Show the history of the parts of all cells."""
     from polishd.cli.shop_commands import history_verb
 
     history_verb(shop, as_json=as_json)
 
 
 @app.command("estimates")
-def lessons(shop: Shop, as_json: Json = False) -> None:
-    """What each cell has learned last of each recipe, and is offered to those that have no lesson of it."""
-    from polishd.cli.shop_commands import lessons_verb
+def estimates(shop: Shop, as_json: Json = False) -> None:
+    """Show the last estimates of each recipe and cell, which the shop offers to cells without estimates."""
+    from polishd.cli.shop_commands import shop_estimates_verb
 
-    lessons_verb(shop, as_json=as_json)
+    shop_estimates_verb(shop, as_json=as_json)
 
 
 @app.command("release")
@@ -98,11 +98,11 @@ def release(
     by: By,
     reason: Why = "",
     cell_is_gone: Annotated[
-        bool, Option("--cell-is-gone", help="Its cell does not run, and its part is not in there: I have looked.")
+        bool, Option("--cell-is-gone", help="Confirm that the cell does not run, and that the part is not in it")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Let another cell have a part: its cell is asked to give it back, and keeps it until it has."""
+    """Release a part for another cell. Its cell keeps it until it has returned it."""
     from polishd.cli.shop_commands import release_verb
 
     release_verb(shop, job, by, reason, gone=cell_is_gone, as_json=as_json)
@@ -110,7 +110,7 @@ def release(
 
 @app.command("remove")
 def remove(*, shop: Shop, job: JobId, by: By, reason: Why = "", as_json: Json = False) -> None:
-    """Take a part out of the shop that waits, or that was set aside."""
+    """Remove a part from the shop that waits or was set aside."""
     from polishd.cli.shop_commands import remove_verb
 
     remove_verb(shop, job, by, reason, as_json=as_json)

@@ -1,4 +1,4 @@
-"""What ``polishd shop`` does: at the shop's computer by its database, at a cell's by the link."""
+"""Commands of ``polishd shop``: with the database on the shop's computer, with the link on a cell's."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from polishd.util.command_line import terminal_user
 from polishd.web.http.users import Role, UserFile
 
 NICE = 5
-"""The link gives way to the daemon, whose loop holds contact."""
+"""Lower priority than the daemon, whose loop controls contact."""
 
 
 def serve_verb(
@@ -34,30 +34,30 @@ def serve_verb(
     role: str,
     remove_user: str | None,
 ) -> None:
-    """Make or end a token, or serve."""
+    """Add or remove a token, or serve."""
     shop = load_shop(path)
     cells, people = cells_of(shop), people_of(shop)
     if add_cell is not None:
-        _told(cells, add_cell, Role.WATCH, "is a cell of this shop")
+        _add_token(cells, add_cell, Role.WATCH, "is a cell of this shop")
     elif add_user is not None:
-        _told(people, add_user, Role(role), f"may {role}")
+        _add_token(people, add_user, Role(role), f"has the role {role}")
     elif remove_cell is not None:
         cells.remove(remove_cell)
-        say(f"{remove_cell} is no cell of this shop any more; what it has, it keeps", err=True)
+        say(f"cell {remove_cell} was removed; it keeps its parts", err=True)
     elif remove_user is not None:
         people.remove(remove_user)
-        say(f"{remove_user} is out", err=True)
+        say(f"user {remove_user} was removed", err=True)
     else:
         if not cells:
-            say("no cell can report yet: polishd shop serve SHOP.toml --add-cell NAME", err=True)
+            say("there are no cells; run: polishd shop serve SHOP.toml --add-cell NAME", err=True)
         serve(shop)
 
 
 def link_verb(path: Path) -> None:
-    """Until Ctrl-C or SIGTERM."""
+    """Run the link until Ctrl-C or SIGTERM."""
     config, hooks = load_cell(path)
     if config.shop is None:
-        raise config.error("shop", "is missing: this cell belongs to no shop; add [shop]: docs/shop.md")
+        raise config.error("shop", "is missing; add [shop]: docs/shop.md")
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -66,14 +66,14 @@ def link_verb(path: Path) -> None:
 
 
 def add_verb(path: Path, files: Sequence[Path], by: str, *, as_json: bool) -> None:
-    """Judge them as far as that goes without a cell, and add them."""
+    """Check the jobs as far as possible without a cell, and add them."""
     new = [read_part(file) for file in files]
     _in(path, lambda sql: parts.add(sql, new, by or terminal_user(), [digests(part) for part in new]))
     list_verb(path, as_json=as_json)
 
 
 def list_verb(path: Path, *, as_json: bool) -> None:
-    """Parts, and the last words."""
+    """Show the parts, and the last decisions on them."""
     found = _in(path, lambda sql: {**server.parts_view(sql), "words": server.words(sql)})
     columns = ("job", "part", "state", "cell", "added", "verdict", "why")
     rows = [
@@ -84,10 +84,10 @@ def list_verb(path: Path, *, as_json: bool) -> None:
 
 
 def status_verb(path: Path, *, as_json: bool) -> None:
-    """Cells, and how many parts are where."""
+    """Show the cells, and the number of parts by state."""
     cells = cells_of(load_shop(path))
     found = _in(path, lambda sql: server.status_view(sql, cells))
-    columns = ("cell", "heard, s ago", "state", "job", "why", "its parts", "passes")
+    columns = ("cell", "last report, s", "state", "job", "why", "its parts", "passes")
     rows = [
         (one["cell"], _heard(one), one.get("state", ""), one.get("job") or "", one.get("reason") or "", one["claims"],
          one["passes"])
@@ -98,7 +98,7 @@ def status_verb(path: Path, *, as_json: bool) -> None:
 
 
 def history_verb(path: Path, *, as_json: bool) -> None:
-    """Jobs of all cells."""
+    """Show the jobs of all cells."""
     found = _in(path, server.history)
     columns = ("job", "part", "cell", "began, UTC", "passes", "RMS nm", "outcome")
     rows = [
@@ -109,52 +109,51 @@ def history_verb(path: Path, *, as_json: bool) -> None:
     emit(found, as_json=as_json, table=lambda: figure_table(f"{len(rows)} jobs of the shop", columns, rows))
 
 
-def lessons_verb(path: Path, *, as_json: bool) -> None:
-    """Of each recipe and cell the last."""
+def shop_estimates_verb(path: Path, *, as_json: bool) -> None:
+    """Show the last estimates of each recipe and cell."""
     found = _in(path, server.lessons)
-    columns = ("recipe", "tool", "cell", "job", "pass", "taught, UTC", "rate", "+-")
+    columns = ("recipe", "tool", "cell", "job", "pass", "at, UTC", "rate", "+-")
     rows = [
         (one["recipe"][:8], one["tool"] or "-", one["cell"], one["job"], str(one["of_cycle"] + 1), _when(one["at_s"]),
          f"{one['rate']:.3f}", f"{one['sigma']:.3f}")
         for one in found["lessons"]
     ]  # fmt: skip
-    emit(found, as_json=as_json, table=lambda: figure_table("what the cells have learned", columns, rows))
+    emit(found, as_json=as_json, table=lambda: figure_table("estimates of the cells", columns, rows))
 
 
 def release_verb(path: Path, job: str, by: str, why: str, *, gone: bool, as_json: bool) -> None:
-    """By a person, whose name stands in the shop's journal."""
+    """Release a part; the shop's journal records the user's name."""
     said = _in(path, lambda sql: parts.release(sql, job, by, why, gone=gone))
     emit({"job": job, "said": said}, as_json=as_json, lines=[said])
 
 
 def remove_verb(path: Path, job: str, by: str, why: str, *, as_json: bool) -> None:
-    """By a person, too."""
+    """Remove a part; the shop's journal records the user's name."""
     _in(path, lambda sql: parts.remove(sql, job, by, why))
-    emit({"job": job, "removed": True}, as_json=as_json, lines=[f"{job} is out of the shop"])
+    emit({"job": job, "removed": True}, as_json=as_json, lines=[f"job {job} was removed from the shop"])
 
 
 def _in(path: Path, work: Callable[[DatabaseTransaction], Any]) -> Any:
-    """One whole transaction, beside a server that may be running."""
+    """Run one transaction; a server may run meanwhile."""
     with Database.open(load_shop(path).state_dir) as database, database.transaction() as sql:
         return work(sql)
 
 
-def _told(users: UserFile, name: str, role: Role, what: str) -> None:
+def _add_token(users: UserFile, name: str, role: Role, what: str) -> None:
     token = users.add(name, role)
     say(f"{name} {what}; the token, which is not shown again:", err=True)
     say(token)
 
 
 def _why(one: Mapping[str, Any]) -> str:
-    asked = (
-        f"{one['cell']} is asked to give it back, by {one['back']}" if one["back"] and one["state"] == "claimed" else ""
-    )
-    return "; ".join(filter(None, (one["reason"], asked, one["not_for"])))
+    is_back = one["back"] and one["state"] == "claimed"
+    back = f"{one['back']} requested it back from {one['cell']}" if is_back else ""
+    return "; ".join(filter(None, (one["reason"], back, one["not_for"])))
 
 
 def _heard(cell: Mapping[str, Any]) -> str:
     if cell["heard_s"] is None:
-        return "never: polishd shop connect CELL.toml runs there?"
+        return "never: does polishd shop connect CELL.toml run there?"
     return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"
 
 

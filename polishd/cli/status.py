@@ -1,6 +1,6 @@
-"""``polishd status``, and orders to the daemon that runs: what people wait for at the terminal.
+"""``polishd status``, and commands to the running daemon.
 
-They need the name of a cell and where its socket is, and import nothing that they do not need: no numpy, no models.
+They need only the cell's name and socket. For a short start they import neither numpy nor config models.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import emit, key_table, say
 from polishd.util.command_line import terminal_user
 
-# The last lines of ``polishd run``, for whoever finds the cell: is it safe, who did not confirm, what to do next.
+# The last lines of ``polishd run``, for the operator: is the cell safe, which device did not confirm, what to do next.
 
 
-def last_words(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
-    """Names and texts, of a summary, a state event or what ``status`` found; commands name that cell."""
+def end_rows(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
+    """Return names and texts of a summary, a state event or a status; commands in them name that cell."""
     standing = CellSafety.of(facts)
     rows = [*standing.rows(), ("run folder", facts.get("run_dir", "")), ("next", standing.next)]
     return [(name, for_cell(text, cell)) for name, text in rows if text]
 
 
-def tell(facts: Mapping[str, Any], cell: Path, prefix: str = "") -> None:
-    """Print them on stderr; stdout stays free for programs."""
-    for name, text in last_words(facts, cell):
+def print_end(facts: Mapping[str, Any], cell: Path, prefix: str = "") -> None:
+    """Print ``end_rows`` on stderr; stdout stays free for programs."""
+    for name, text in end_rows(facts, cell):
         say(f"{prefix}{name}: {text}", err=True)
 
 
 def status_verb(cell: Path, *, as_json: bool) -> None:
-    """Ask the running daemon; where none runs, what the last one left word of."""
+    """Show the running daemon's status; if none runs, the exit record of the last one."""
     place = cell_summary(cell)
     try:
         answer = client.request(place.state_dir, "status")
@@ -47,7 +47,7 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
         if as_json:
             say(json.dumps(last))
         else:
-            _tell_last(last, place.name, cell)
+            _print_last(last, place.name, cell)
         raise typer.Exit(absent.exit_code) from None
     words = {
         key: value
@@ -85,30 +85,32 @@ def _figure(facts: Mapping[str, Any]) -> str:
 def _device(facts: Mapping[str, Any]) -> str:
     who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
     heard_s = facts.get("heard_s_ago")
-    heard = "" if heard_s is None else f", heard {heard_s:.1f} s ago"
+    heard = "" if heard_s is None else f", answered {heard_s:.1f} s ago"
     return who + heard + ("" if facts["used"] else " (not used by this job)")
 
 
-def _tell_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
-    """Plain lines, as ``run`` ended with: a table would break commands and paths."""
+def _print_last(last: Mapping[str, Any], name: str, cell: Path) -> None:
+    """Print plain lines, as at the end of ``run``: a table would break commands and paths."""
     rows = [(key, last[key]) for key in ("state", "at", "reason") if last.get(key)]
     rows += [("cause", str(EndCause(**cause))) for cause in last.get("causes", [])]
-    for key, text in [(name, "no daemon is running"), *rows, *last_words(last, cell)]:
+    for key, text in [(name, "no daemon is running"), *rows, *end_rows(last, cell)]:
         say(f"{key}: {text}")
 
 
 def order_verb(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
-    """Give the running daemon an order; returns when it is obeyed, and ends with the error where it is refused."""
+    """Send a command to the running daemon; return when it is done, and exit with the error if it is refused."""
     place = cell_summary(cell)
-    said = {"reason": reason} if reason else {}
-    _told(place, verb, client.request(place.state_dir, verb, args={**said, "by": terminal_user()}), cell, as_json)
+    args = {"reason": reason} if reason else {}
+    _print_answer(
+        place, verb, client.request(place.state_dir, verb, args={**args, "by": terminal_user()}), cell, as_json
+    )
 
 
 def approve_verb(cell: Path, *, as_json: bool) -> None:
-    """Say that the plan that waits now may run."""
+    """Approve the plan that waits now."""
     place = cell_summary(cell)
     waits = {"program_sha256": client.request(place.state_dir, "live").get("approval", "")}
-    _told(
+    _print_answer(
         place,
         "approve",
         client.request(place.state_dir, "approve", args={**waits, "by": terminal_user()}),
@@ -117,7 +119,7 @@ def approve_verb(cell: Path, *, as_json: bool) -> None:
     )
 
 
-def _told(place: CellSummary, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
+def _print_answer(place: CellSummary, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
     if not answer["ok"]:
         say(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
         raise typer.Exit(answer.get("exit_code", 1))

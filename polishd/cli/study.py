@@ -1,4 +1,4 @@
-"""The verbs of studies: ``polishd study STUDY.toml`` and ``polishd study show DIR``."""
+"""Commands of studies: ``polishd study STUDY.toml`` and ``polishd study show DIR``."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from polishd.util.command_line import Json, spread_options
 
 
 class _FileOrVerb(TyperGroup):
-    """What is no verb is a study's file, which is run."""
+    """Group that runs a study's file if there is no command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """``run`` is not written."""
+        """Add ``run`` before a file."""
         if args and args[0] not in {*self.commands, *self.get_help_option_names(ctx)}:
             args = ["run", *args]
         return super().parse_args(ctx, args)
@@ -25,14 +25,14 @@ class _FileOrVerb(TyperGroup):
 
 app = typer.Typer(
     cls=_FileOrVerb,
-    help="A simulation without a cell: corrections, spots, passes of equal dwell, whole jobs in a closed loop.",
+    help="Simulations without a cell: corrections, spots, passes of equal dwell, whole jobs in a closed loop.",
 )
 
 
 @app.command()
 @spread_options
 def run(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
-    """Run a study: `polishd study STUDY.toml` is the same."""
+    """Run a study, as `polishd study STUDY.toml`."""
     from polishd.studies.run import study_verb
 
     study_verb(file, asked, as_json=as_json)
@@ -40,11 +40,11 @@ def run(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptio
 
 @app.command()
 def show(
-    folder: Annotated[Path, Argument(metavar="DIR", help="The --out of a study, which may still run.")],
+    folder: Annotated[Path, Argument(metavar="DIR", help="The --out folder of a study, which may still run")],
     *,
     as_json: Json = False,
 ) -> None:
-    """What many cases have come to: medians, paired differences, sensitivity, where they fail; pictures in DIR."""
+    """Show results of many cases: medians, paired differences, sensitivity, failures; pictures in DIR."""
     from polishd.studies.run import show_verb
 
     show_verb(folder, as_json=as_json)

@@ -78,14 +78,14 @@ def _along(axes: Axes, compliance_um_per_n: FloatArray, gamma: FloatArray) -> No
     other.set_ylabel("gamma", color=ORANGE)
 
 
-# ``polishd tif`` and ``polishd compliance``: what the cell's process and robot do, before anything is polished.
+# ``polishd tif`` and ``polishd compliance``: removal and compliance of a cell.
 
 PICTURE_SAMPLES = 120
 """Samples across the picture of a spot."""
 
 
 def tif_verb(cell: Path, ratio: float, out: Path | None, *, as_json: bool) -> None:
-    """The TIF that the cell's process makes at a depth ratio; a measured one where the cell works with it."""
+    """Show the TIF of the cell's process at a depth ratio, or its measured TIF if the cell uses one."""
     config = load_config(cell)
     process, tif = config.tool_process(), config.measured_tif()
     if tif is not None and config.process.removal_model == "measured_tif":
@@ -124,13 +124,13 @@ def _tif_table(config: CellConfig, figures: SpotFigures, ratio: float) -> Table:
         ("peak", f"{figures.peak_nm_s:.4g} nm/s"),
         ("volume", f"{figures.volume_mm3_min:.4g} mm3/min"),
         ("dissipative fraction", f"{figures.dissipative_fraction:.3g} (shift of the pressure / contact radius)"),
-        ("x profile", f"{shape}; the axis meets the part {figures.pole_mm:.3g} mm from the centre"),
+        ("x profile", f"{shape}; the axis meets the part {figures.pole_mm:.3g} mm from the center"),
     ]
     return key_table(f"{config.cell.name}: TIF", rows)
 
 
 def compliance_verb(cell: Path, program: Path | None, out: Path | None, *, as_json: bool) -> None:
-    """The compliance over the workspace and, where a program is given, along it."""
+    """Show the compliance over the workspace and, if a program is given, along it."""
     config, hooks = load_cell(cell)
     field = compliance_field(
         config.robot_model(), config.tool_process(), config.placement(), config.compliance_options()

@@ -1,4 +1,4 @@
-"""``polishd top``: what each cell does now, in the terminal. What is old looks old; a lost daemon is said at once."""
+"""``polishd top``: live values of each cell in the terminal, with their ages and lost daemons."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import stdout
 
 LOOK_S = 0.5
-"""Between two looks."""
+"""Period of polls."""
 ANSWER_S = 1.0
-"""A daemon that has not answered for so long is called silent."""
+"""Time limit of an answer."""
 OLD_S = 2.0
-"""A reading of that age is no longer live."""
+"""Age at which a reading is no longer live."""
 CYCLES_S = 5.0
-"""Between two looks at the measurements, which change once in a pass."""
+"""Period of polls of the measurements, which change once in a pass."""
 
 
 @dataclass(slots=True)
 class CellView:
-    """One cell, and what is known of it."""
+    """One cell and its last answers."""
 
     config: CellConfig
     path: Path
     live: Mapping[str, Any] = field(default_factory=dict)
-    """The last answer to ``live``; empty: there was none yet."""
+    """The last answer to ``live``; empty before the first."""
     heard_s: float | None = None
-    """Monotonic time of that."""
+    """Monotonic time of the last answer."""
     cycles: Sequence[Mapping[str, Any]] = ()
     asked_s: float = float("-inf")
     trouble: str = ""
-    """Why there is no answer now."""
+    """Reason why there is no answer now."""
 
     def look(self) -> None:
-        """Ask its daemon."""
+        """Poll its daemon."""
         try:
             self.live = client.request(self.config.state_dir, "live", ANSWER_S)
             self.heard_s, self.trouble = time.monotonic(), ""
@@ -65,14 +65,14 @@ class CellView:
 
 
 def top_verb(cells: Sequence[Path], *, once: bool) -> None:
-    """Show the cells until Ctrl-C; once where stdout is no terminal."""
+    """Show the cells until Ctrl-C; once if stdout is not a terminal."""
     seen = [CellView(load_config(cell), cell) for cell in cells]
     if once or not stdout.is_terminal:
         for one in seen:
             one.look()
         stdout.print(picture(seen, time.monotonic()))
         return
-    pause = threading.Event()  # that nobody sets
+    pause = threading.Event()  # never set
     with suppress(KeyboardInterrupt), Live(console=stdout, screen=True, auto_refresh=False) as screen:
         while True:
             for one in seen:
@@ -82,7 +82,7 @@ def top_verb(cells: Sequence[Path], *, once: bool) -> None:
 
 
 def picture(seen: Sequence[CellView], now_s: float) -> RenderableType:
-    """A panel a cell."""
+    """Return one panel for each cell."""
     return Group(*(_panel(one, now_s) for one in seen))
 
 
@@ -97,7 +97,7 @@ def _panel(one: CellView, now_s: float) -> Panel:
     phase = f", {live['phase']}" if live.get("phase") else ""
     title, style = f"{name}: {live.get('state')}{phase}", "yellow" if live.get("state") == "held" else "green"
     if one.trouble:
-        title, style = f"{name}: {one.trouble}; what is shown is {passed_s:.0f} s old", "red"
+        title, style = f"{name}: {one.trouble}; these values are {passed_s:.0f} s old", "red"
     return Panel(_table(rows, old=bool(one.trouble)), title=Text(title), border_style=style)
 
 
@@ -117,16 +117,16 @@ READINGS: Sequence[tuple[str, str, str]] = (
     ("speed", "speed", "{rpm:.0f} rpm"),
     ("robot", "robot", "{state}, block {executed}, {buffer_s:.1f} s buffered"),
 )
-"""Of what the devices told: the answer's name, ours, and what is said of it."""
-SAID = ("leaving", "reason", "next")
-"""In words."""
+"""Readings of the devices: name in the answer, shown name, and format."""
+TEXTS = ("leaving", "reason", "next")
+"""Texts of the answer that are shown."""
 
 
 def _rows(one: CellView, passed_s: float) -> Iterator[Row]:
     live = one.live
     cycle = "" if live.get("cycle") is None else f", cycle {live['cycle']}"
     yield "part", Text(f"{live.get('part')}, job {live.get('job')}{cycle}")
-    yield from ((name, Text(for_cell(str(live[name]), one.path))) for name in SAID if live.get(name))
+    yield from ((name, Text(for_cell(str(live[name]), one.path))) for name in TEXTS if live.get(name))
     if one.cycles:
         yield "figure", Text(_figure(one.cycles))
         if (left := _left(one.cycles[-1])) is not None:
@@ -137,13 +137,13 @@ def _rows(one: CellView, passed_s: float) -> Iterator[Row]:
 
 
 def _readings(live: Mapping[str, Any], passed_s: float) -> Iterator[Row]:
-    told = live.get("readings", {})
-    for key, name, words in READINGS:
-        if (had := told.get(key)) is not None:
-            yield name, _aged(words.format(**had), had["age_s"] + passed_s)
+    readings = live.get("readings", {})
+    for key, name, shown in READINGS:
+        if (reading := readings.get(key)) is not None:
+            yield name, _aged(shown.format(**reading), reading["age_s"] + passed_s)
     for device, age_s in live.get("ages_s", {}).items():
         if age_s is not None:
-            yield f"heard {device}", _aged("", age_s + passed_s)
+            yield f"answer {device}", _aged("", age_s + passed_s)
     for name, facts in live.get("signals", {}).items():
         yield name, Text(f"{facts['text']}{': ' * bool(facts['wrong'])}{facts['wrong']}", "red" * bool(facts["wrong"]))
 
@@ -157,12 +157,12 @@ def _troubles(live: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def _aged(text: str, age_s: float) -> Text:
-    """A reading and its age; dim where it is old."""
+    """Return a reading with its age, dim if it is old."""
     return Text(f"{text}  ({age_s:.1f} s ago)".strip(), "dim italic" if age_s > OLD_S else "")
 
 
 def _figure(cycles: Sequence[Mapping[str, Any]]) -> str:
-    """From measurement to measurement, and what the pass under way is to leave."""
+    """Return the RMS of the last measurements, and the prediction for the present pass."""
     last, farthest = cycles[-1], worst_line(line_results(cycles[-1]))
     words = "RMS " + " > ".join(f"{cycle['rms_nm']:.2f}" for cycle in cycles[-5:]) + " nm"
     if last.get("predicted_rms_nm") is not None:
@@ -175,7 +175,7 @@ def _figure(cycles: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _left(cycle: Mapping[str, Any]) -> RenderableType | None:
-    """How far the pass under way is, by time in contact."""
+    """Return the progress of the present pass by time in contact."""
     if cycle.get("how") != "begun" or not cycle.get("dwell_s"):
         return None
     done_s, all_s = min(cycle.get("executed_s") or 0.0, cycle["dwell_s"]), cycle["dwell_s"]

@@ -1,4 +1,4 @@
-"""Device profiles, without a cell: what there is, what a profile means, where a device answers."""
+"""Device profiles without a cell: list, show and check them, and find the settings of a device."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS = {"actuator": "actuator", "spindle": "spindle", "force_sensor": "force se
 
 
 def list_verb(*, as_json: bool) -> None:
-    """Name, device, kind, link, and whether somebody has tried it."""
+    """List name, device, kind, link, and tests of each profile."""
     columns = ("name", "device", "kind", "link", "tried")
     profiles = [profile_of(name, Path()) for name in shipped()]
     rows = [(one.name, one.title, KINDS[one.kind], one.link, TRIED[one.tried]) for one in profiles]
@@ -35,7 +35,7 @@ def list_verb(*, as_json: bool) -> None:
 
 
 def show_verb(name: str, *, toml: bool, as_json: bool) -> None:
-    """What stands in a profile, for people; or its file."""
+    """Show a profile for people, or its file."""
     profile = profile_of(name, Path())
     if toml:
         _give_text(profile.source.text, as_json=as_json)
@@ -45,7 +45,7 @@ def show_verb(name: str, *, toml: bool, as_json: bool) -> None:
 
 
 def check_verb(name: str, raws: Sequence[str], *, as_json: bool) -> None:
-    """Everything that follows from a profile, and from raw examples."""
+    """Show what follows from a profile, and decode raw examples."""
     profile = profile_of(name, Path())
     answer = facts(profile)
     reads = {text: _read(profile, text) for text in raws}
@@ -61,12 +61,12 @@ def check_verb(name: str, raws: Sequence[str], *, as_json: bool) -> None:
 
 
 def new_verb(kind: str, link: str, *, as_json: bool) -> None:
-    """A template on stdout."""
+    """Print a template."""
     _give_text(toml_text(TEMPLATES / f"{kind}_{link}.toml"), as_json=as_json)
 
 
 def facts(profile: DeviceProfile) -> dict[str, Any]:
-    """What follows from a profile, as JSON holds it."""
+    """Return what follows from a profile, for JSON."""
     line = profile.serial
     found: dict[str, Any] = {
         "profile": profile.name,
@@ -99,34 +99,34 @@ def _tables(profile: DeviceProfile, answer: Mapping[str, Any]) -> RenderableType
 def _read(profile: DeviceProfile, text: str) -> dict[str, str]:
     name, equals, raw = text.partition("=")
     if not equals:
-        raise ConfigError(f"--raw {text!r}: write NAME=WORDS, as force=0x04AE")
+        raise ConfigError(f"--raw {text!r}: write NAME=DATA, such as force=0x04AE")
     return {key: build.said(key, value) for key, value in build.read_raw(profile, name, raw).items()}
 
 
 def _warnings(profile: DeviceProfile) -> list[str]:
-    """What is allowed, and may yet be forgotten."""
+    """Return warnings on values that are allowed but may be a mistake."""
     found = []
     commands = profile.commands
     if profile.kind != "force_sensor" and not commands.watchdog:
         watchdog_s = (profile.actuator or profile.spindle).watchdog_s  # type: ignore[union-attr]
-        found.append(f"no commands.watchdog: set {watchdog_s:g} s at the device, or nothing stops it when polishd dies")
+        found.append(f"no commands.watchdog: set {watchdog_s:g} s at the device, or it goes on if polishd stops")
     if build.poll_s(profile) > 0.1:
         found.append(f"one look takes {1000 * build.poll_s(profile):.0f} ms; raise serial.baud")
     if "TODO" in profile.source.text:
-        found.append("it still says TODO")
+        found.append("it still contains TODO")
     if profile.spindle and not commands.reverse:
         found.append("no commands.reverse: the spindle turns forward only")
     return found
 
 
 def _give_text(text: str, *, as_json: bool) -> None:
-    """A file's text, byte by byte, to be written into another."""
+    """Print a file's text unchanged, for redirection into a file."""
     emit({"toml": text}, as_json=as_json)
     if not as_json:
         stdout.print(text, markup=False, highlight=False, soft_wrap=True, end="")
 
 
-# ``polishd device scan``: at which settings of the line a device answers. Reads only.
+# ``polishd device scan``: find the settings at which a device answers. It only reads.
 
 BAUDS = (9600, 19_200, 38_400, 57_600, 115_200, 4800)
 Place = tuple[SerialLine | Tcp, int | None]
@@ -134,7 +134,7 @@ Place = tuple[SerialLine | Tcp, int | None]
 
 
 def find_verb(name: str, address: str, units: int, silence_s: float, *, as_json: bool) -> None:
-    """Try them all; tell where somebody answered, and how."""
+    """Try all settings, and print those with an answer."""
     profile = profile_of(name, Path())
     given = address_of(profile, address, Path())
     places = list(dict.fromkeys(_places(profile, given, units)))
@@ -146,11 +146,11 @@ def find_verb(name: str, address: str, units: int, silence_s: float, *, as_json:
             stdout.print(f"{at}: {says}", markup=False)
     if not found:
         tried = "every baud rate and parity" if isinstance(given, SerialLine) else f"units 1 to {units}"
-        raise LinkError(f"{given}: nobody answers at {tried}; see power, wires (A and B exchanged?), and its line mode")
+        raise LinkError(f"{given}: no answer at {tried}; check power, wiring (A and B exchanged?) and its mode")
 
 
 def _places(profile: DeviceProfile, given: SerialLine | Tcp, units: int) -> Iterator[Place]:
-    """The profile's own first, then other speeds and parities, then other units at the profile's own."""
+    """Yield the profile's settings, then other baud rates and parities, then other units at the profile's settings."""
     unit = profile.modbus.unit if profile.modbus else None
     yield given, unit
     if isinstance(given, SerialLine):
@@ -163,12 +163,12 @@ def _places(profile: DeviceProfile, given: SerialLine | Tcp, units: int) -> Iter
 
 
 async def _try_all(
-    profile: DeviceProfile, places: list[Place], silence_s: float, tell: Callable[[str], object]
+    profile: DeviceProfile, places: list[Place], silence_s: float, show: Callable[[str], object]
 ) -> list[tuple[str, str]]:
     found = []
     for at, (address, unit) in enumerate(places, start=1):
-        where = _said(address, unit)
-        tell(f"{at} of {len(places)}: {where}")
+        where = _settings(address, unit)
+        show(f"{at} of {len(places)}: {where}")
         says = await _try(profile, address, unit, silence_s)
         if says:
             found.append((where, says))
@@ -176,21 +176,21 @@ async def _try_all(
 
 
 async def _try(profile: DeviceProfile, address: SerialLine | Tcp, unit: int | None, silence_s: float) -> str:
-    """What the device said; empty where none did. A port that does not open is an error."""
+    """Return the result of one try; empty without an answer. A port that does not open is an error."""
     wire = wire_of(profile, address, silence_s, unit=unit)
     await wire.connect()
     try:
         await wire.read(profile.polled)
     except (DeviceRefused, ProtocolError) as error:
-        return f"a device answers, but not as the profile says: {error}"
+        return f"a device answers, but not as in the profile: {error}"
     except DeviceError:
         return ""
     finally:
         await wire.disconnect()
-    return f"answers as profile {profile.name!r} says"
+    return f"answers as in profile {profile.name!r}"
 
 
-def _said(address: SerialLine | Tcp, unit: int | None) -> str:
+def _settings(address: SerialLine | Tcp, unit: int | None) -> str:
     settings = ""
     if isinstance(address, SerialLine):
         settings = f"?baud={address.baud}&parity={address.parity}&stop_bits={address.stop_bits}"

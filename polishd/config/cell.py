@@ -59,10 +59,10 @@ class CellConfig(ServedDocument):
     """All of a cell's configuration; made by ``load_config``."""
 
     include: Texts = ()
-    """Fragments, such as those of `polishd calibrate`, laid over this file in turn: what they say replaces it."""
+    """Files laid over this one in order, such as those of `polishd calibrate`. Their values replace those here."""
     cell: CellSection
     plugins: PluginsSection
-    # ports, in the order in which their devices are opened; the one place that lists them
+    # Ports, in the order in which their devices are opened. This is the only list of them.
     actuator: Annotated[DeviceSection, DeviceInterface(ForceActuator)]
     robot: Annotated[RobotSection, DeviceInterface(Robot)]
     spindle: Annotated[DeviceSection, DeviceInterface(Spindle)]
@@ -80,7 +80,7 @@ class CellConfig(ServedDocument):
     touch_off: TouchOffSection | None = None
     part_handling: BetweenSection = BetweenSection()
     tools: Mapping[Name, ToolSection] = {}
-    """Tools that polish the part in turn, in this order; left out: the one of `[process]`."""
+    """Tools that polish the part one after another, in this order. Left out: the tool of `[process]`."""
     job: JobSection
     estimates: MemorySection = MemorySection()
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple)] = ()
@@ -100,12 +100,12 @@ class CellConfig(ServedDocument):
 
     @property
     def run_dir(self) -> Path | None:
-        """Where the run folder is wanted, or None for ``state_dir/runs/<job>-<time>``."""
+        """Configured run folder, or None for ``state_dir/runs/<job>-<time>``."""
         return None if self.cell.run_dir is None else self.resolve(self.cell.run_dir)
 
     @property
     def dialect_paths(self) -> list[Path]:
-        """Program dialects of the user's own."""
+        """Dialect files of the user."""
         return [self.resolve(path) for path in self.program.dialects]
 
     @property
@@ -135,7 +135,7 @@ class CellConfig(ServedDocument):
 
     @property
     def lines(self) -> tuple[ToleranceLine, ...]:
-        """What the part is judged by."""
+        """Tolerance lines that decide whether the part is accepted."""
         return lines_of(self.job, tuple(line for section in self.tolerance for line in section.lines))
 
     def effective(self) -> dict[str, Any]:
@@ -144,28 +144,28 @@ class CellConfig(ServedDocument):
 
     @property
     def raw(self) -> Mapping[str, Any]:
-        """The values as they were written, fragments and overrides laid over them."""
+        """The values as written, with fragments and overrides applied."""
         return self._raw
 
     @property
     def included(self) -> dict[str, str]:
-        """Dotted keys that came from an included fragment, and the file."""
+        """File of each dotted key that came from an included fragment."""
         parts = self._source.included
         return {".".join(map(str, key)): part.file for part in parts for key in key_lines(part.text) if key[1:]}
 
     def of_tool(self, name: str) -> CellConfig:
-        """The cell as it is with that tool on its spindle, and no other. ConfigError where it makes no cell."""
+        """Return the cell with only that tool on its spindle. Raise ConfigError if the result is not a valid cell."""
         made = type(self).of(*tool_overlay(self._raw, self._source, name))
         made._path = self._path
         return consistent(made)
 
     @property
     def turns(self) -> tuple[CellConfig, ...]:
-        """The cell with each of its tools, in the order in which they polish; itself where it has one."""
+        """The cell once for each of its tools, in polishing order; the cell itself if it has one tool."""
         return tuple(self.of_tool(name) for name in self.tools) or (self,)
 
     def measured_tif(self) -> MeasuredTif | None:
-        """The cell's measured TIF, where it names one; ConfigError where that cannot be read."""
+        """Return the cell's measured TIF, or None if it names none. Raise ConfigError if it cannot be read."""
         return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
 
     def envelope(self) -> Envelope:
@@ -183,25 +183,25 @@ PORTS: Mapping[str, DeviceInterface] = {
     for mark in field.metadata
     if isinstance(mark, DeviceInterface)
 }
-"""What each port asks; in the order in which devices are opened."""
+"""Requirements of each port, in the order in which devices are opened."""
 
 FILES = (
     "program.path", "program.dialects", "instrument.profile", "part.polygon_file", "part.form", "process.tif",
     "kinematics.table",
 )  # fmt: skip
-"""Keys that name files: what counts is the content, wherever it lies. A tool's have its name: `tool_files`."""
+"""Keys that name files: their content counts, not their location. For the keys of a tool see `tool_files`."""
 TOOL_FILES = ("program", "tif")
 
 
 def tool_files(tools: Mapping[str, Any]) -> list[str]:
-    """Keys that name files in tables of tools, by name."""
+    """Return the dotted keys that name files in the tables of tools."""
     return [f"tools.{name}.{key}" for name in tools for key in TOOL_FILES]
 
 
 def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellConfig:
     """Read a cell's TOML; ``overrides`` are values by dotted key, such as ``{"process.correction": "none"}``.
 
-    The fragments that ``include`` names are laid over it: what they say replaces what the file says.
+    Fragments named by ``include`` are laid over it: their values replace those of the file.
     Raises ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
     """
     raw, source = load_toml(path)
@@ -209,7 +209,9 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
     source = replace(source, overrides=frozenset(overrides or {}), included=tuple(part for _, part in fragments))
     for fragment, part in fragments:
         if "include" in fragment:
-            raise ConfigError(part.error(("include",), "a fragment includes no other; name all in the cell's file"))
+            raise ConfigError(
+                part.error(("include",), "a fragment cannot include another; name all fragments in the cell's file")
+            )
         overlay(raw, fragment)
     for key, value in (overrides or {}).items():
         _override(raw, key, value, source)
@@ -217,7 +219,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
 
 
 def consistent(config: CellConfig) -> CellConfig:
-    """The same; ConfigError, as of ``load_config``, where values that are right alone do not go together."""
+    """Return the config unchanged; raise ConfigError, as ``load_config``, if its sections contradict each other."""
     wrong = (
         *_wrong_force(config),
         *_wrong_grid(config),
@@ -233,24 +235,24 @@ def consistent(config: CellConfig) -> CellConfig:
 
 
 def _wrong_force(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """(key, what is wrong) of the largest force: a force that regulation may have must not end contact."""
+    """Yield (key, problem) of the largest force: it must be above the forces that regulation allows."""
     process, band = config.process, config.limits.force_band
     regular_n = process.force_n * (1.0 + band)
     if process.force_max_n is not None and process.force_max_n <= regular_n:
         problem = (
-            f"{process.force_max_n:g} N is within what regulation may do: {process.force_n:g} N + {band:.0%} "
+            f"{process.force_max_n:g} N is within the regulation band: {process.force_n:g} N + {band:.0%} "
             f"(limits.force_band) = {regular_n:g} N. Set it above, or leave it out for 1.5 times process.force_n"
         )
         yield "process.force_max_n", problem
 
 
 def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """(key, what is wrong) of what the part is to be."""
+    """Yield (key, problem) of the tolerance."""
     job, lines = config.job, [line for section in config.tolerance for line in section.lines]
     if job.tolerance_nm is None and not lines:
         yield "job.tolerance_nm", "is missing; add it: tolerance_nm = ..., or the drawing's lines: [[tolerance]]"
     if job.tolerance_nm is not None and lines:
-        yield "job.tolerance_nm", "there are [[tolerance]] lines, too; keep one of both: rms_nm in a line says the same"
+        yield "job.tolerance_nm", "there are [[tolerance]] lines, too; keep one of both (rms_nm in a line is the same)"
     if job.tolerance_period_mm and lines:
         yield (
             "job.tolerance_period_mm",
@@ -260,19 +262,22 @@ def _wrong_tolerance(config: CellConfig) -> Iterator[tuple[str, str]]:
         if config.part.alignment == "piston":
             yield (
                 "job.accept_by",
-                'each map has a tilt of its own: there is no bound where it is figure; alignment = "tilt"',
+                'part.alignment = "piston" counts the tilt of each map as figure, so there is no bound; use "tilt"',
             )
         if not any(line.bounded for line in config.lines):
-            yield "job.accept_by", 'no line is an RMS without periods_below_mm, which has a bound; accept = "figure"'
+            yield (
+                "job.accept_by",
+                'a bound needs a line with an RMS and without periods_below_mm; add one, or accept_by = "figure"',
+            )
     if config.part.alignment == "power" and any(line.figure == "A" for line in lines):
         yield (
             "tolerance",
-            '3/A is the power, which part.alignment = "power" takes off: nothing is left to judge; use "tilt"',
+            '3/A limits the power, which part.alignment = "power" removes; use alignment = "tilt"',
         )
 
 
 def _wrong_grid(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """The same of the grid; a part whose corners are in a file is judged where that is read."""
+    """Yield (key, problem) of the grid. A part whose corners are in a file is checked when that file is read."""
     if config.part.polygon_file is None:
         wide, high = (2 * half for half in config.part.outline.half_mm)
         try:
@@ -282,7 +287,7 @@ def _wrong_grid(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 
 def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """The same of tools."""
+    """Yield (key, problem) of tools."""
     if not config.tools:
         return
     passes = sum(tool.passes for tool in config.tools.values())
@@ -292,16 +297,16 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
             f"is {config.job.max_cycles}, but the tools have {passes} passes; set it to {passes} or more",
         )
     if config.estimates.tool is not None:
-        yield "estimates.tool", "there are [tools], each with its name; remove the line"
+        yield "estimates.tool", "[tools] names the tools already; remove the line"
     if config.dwell.objective == AS_PROGRAMMED:
-        yield "dwell.objective", f"{AS_PROGRAMMED!r} is for one tool: leave the others of [tools] out"
+        yield "dwell.objective", f"{AS_PROGRAMMED!r} needs one tool; remove the others from [tools]"
     for name, tool in config.tools.items():
         if tool.position_mm is not None and config.touch_off is None:
-            yield f"tools.{name}.position_mm", "is of [touch_off], and the cell has none; add it, or remove the line"
+            yield f"tools.{name}.position_mm", "needs [touch_off], which is missing; add it, or remove the line"
 
 
 def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """(key, what is wrong) of device types of earlier versions."""
+    """Yield (key, problem) of device types of earlier versions."""
     for port, section in ((port, getattr(config, port)) for port in PORTS):
         several = {} if section is None else section.tables
         types = {f"{port}.{name}": keys.get("type") for name, keys in several.items()}
@@ -312,13 +317,13 @@ def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 
 def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """(key, what is wrong) of tables of several devices, and of the roles that choose among them."""
+    """Yield (key, problem) of tables of several devices, and of the roles that choose among them."""
     several = {port: given for port in PORTS if (given := getattr(config, port)) is not None and given.type is None}
     chosen = [port for port, mark in PORTS.items() if mark.chosen]
     for port, section in several.items():
         yield from _wrong_table(port, section)
         if port in chosen and port not in config.roles:
-            yield f"roles.{port}", f"is missing: there are {join_words(section.tables)}; say which one the job uses"
+            yield f"roles.{port}", f"is missing: there are {join_words(section.tables)}; name the one that the job uses"
     for port, name in config.roles.items():
         if port not in chosen:
             yield f"roles.{port}", f"unknown key{did_you_mean(port, chosen)} Known here: {join_words(chosen)}"
@@ -330,14 +335,14 @@ def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
 
 
 def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
-    """The same of signals: each is told by one of the monitors."""
+    """Yield (key, problem) of signals: each needs one of the monitors."""
     named = {} if config.monitor is None else config.monitor.tables
     for name, signal in config.signals.items():
         key = f"signals.{name}"
         if config.monitor is None:
-            yield key, "nobody tells it: the cell has no [monitor]; add one, or remove the section"
+            yield key, "no monitor reads it: the cell has no [monitor]; add one, or remove the section"
         elif signal.monitor is None and named:
-            yield f"{key}.monitor", f"is missing: there are {join_words(named)}; say which one tells it"
+            yield f"{key}.monitor", f"is missing: there are {join_words(named)}; name the one that reads it"
         elif signal.monitor is not None and not named:
             todo = f"remove the line, or name it: [monitor.{signal.monitor}]"
             yield f"{key}.monitor", f"there is one monitor, without a name; {todo}"
@@ -350,15 +355,15 @@ def _wrong_table(port: str, section: DeviceSection) -> Iterator[tuple[str, str]]
     for name in {**dict.fromkeys(section.model_fields_set - {"type"}), **(section.model_extra or {})}:
         keys = section.tables.get(name, {})
         if name not in section.tables:
-            yield f"{port}.{name}", f"is no device; write it into one of {join_words(section.tables)}"
+            yield f"{port}.{name}", f"is not a device; move it into one of {join_words(section.tables)}"
         elif not re.fullmatch(r"[\w-]+", name, re.ASCII):
-            yield f"{port}.{name}", "is no name: use letters, digits, '-' and '_'"
+            yield f"{port}.{name}", "is not a valid name; use letters, digits, '-' and '_'"
         elif not isinstance(keys.get("type"), str):
             yield f"{port}.{name}.type", "is missing; add it: type = ..."
 
 
 def device_options(config: CellConfig, device: str, device_types: Mapping[str, DeviceType]) -> tuple[DeviceType, Any]:
-    """The device type that a device's section names, and the section's other keys as that type's options model."""
+    """Return the device type named in a device's section, and the section's other keys as its options model."""
     raw, port, named = config.devices[device], port_of(device), str(config.devices[device].type)
     fitting = {name for name, kind in device_types.items() if kind.port == port}
     kind = device_types.get(named)
@@ -369,13 +374,13 @@ def device_options(config: CellConfig, device: str, device_types: Mapping[str, D
             "plugins.load must name its plugin, for polishd's own 'devices'",
         )
     if kind.port != port:
-        raise config.error(f"{device}.type", f"{named!r} is a kind of {kind.port}; use one of {join_words(fitting)}")
+        raise config.error(f"{device}.type", f"{named!r} is a {kind.port} type; use one of {join_words(fitting)}")
     given, of_port = dict(raw.model_extra or {}), set(type(raw).model_fields) - {"type"}
     return kind, _judged(config, tuple(device.split(".")), kind.options, given, of_port)
 
 
 def notifier_options(config: CellConfig, name: str, types: Mapping[str, NotifierType]) -> tuple[NotifierType, Any]:
-    """The notifier type that ``[notify.NAME]`` names, and the keys of that type as its options model."""
+    """Return the notifier type named in ``[notify.NAME]``, and its keys as the type's options model."""
     section = config.notify[name]
     kind = types.get(section.type)
     if kind is None:
@@ -394,7 +399,7 @@ def _judged(
     given: Mapping[str, Any],
     also: Collection[str] = (),
 ) -> Any:
-    """A plugin's options; ConfigError with a line for each fault. The section may have other keys ``also``."""
+    """Return a plugin's options; raise ConfigError with a line for each fault. Keys in ``also`` are allowed too."""
     found = _unknown_options(config, section, options, given, also)
     try:
         value = options.model_validate(given)
@@ -409,7 +414,7 @@ def _judged(
 def _unknown_options(
     config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any], also: Collection[str]
 ) -> list[str]:
-    """Unknown keys are errors also where the plugin's model would let them pass."""
+    """Report unknown keys even if the plugin's model ignores them."""
     if options.model_config.get("extra") == "allow":
         return []
     known = {field.alias or name for name, field in options.model_fields.items()} | set(also)
@@ -433,7 +438,7 @@ def _included(raw: Mapping[str, Any], source: TomlSource) -> list[str]:
 
 
 def overlay(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
-    """Keys of the fragment's tables replace those of the file's."""
+    """Replace keys of the file's tables by those of the fragment."""
     for name, value in fragment.items():
         if isinstance(value, dict) and isinstance(raw.get(name), dict):
             overlay(raw[name], value)
@@ -447,5 +452,5 @@ def _override(raw: dict[str, Any], key: str, value: Any, source: TomlSource) -> 
     for name in tables:
         inner = inner.setdefault(name, {})
         if not isinstance(inner, dict):
-            raise ConfigError(source.error(tuple(key.split(".")), f"{name!r} is no section; mend the override"))
+            raise ConfigError(source.error(tuple(key.split(".")), f"{name!r} is not a section; correct the override"))
     inner[last] = value

@@ -1,4 +1,4 @@
-"""The sections of a cell's configuration: one frozen model each, with its ranges in the types."""
+"""Sections of a cell's configuration: one frozen model each, with ranges in the types."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _FINDING = FindingLimits()
 
 MOST_FEED_MM_S = 1000.0
 MOST_ACCEL_MM_S2 = 20_000.0
-"""Two g: beyond both a number is a mistake, and times are planned that no machine keeps."""
+"""Two g. A larger feed or acceleration is a mistake: the planned times would be shorter than any machine's."""
 
 
 def _feed(value: float) -> float:
@@ -50,26 +50,26 @@ def _feed(value: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class DeviceInterface:
-    """Marks a section of the cell as one for devices, and says what is asked of them."""
+    """Mark a section of the cell as a port, with the requirements on its devices."""
 
     protocol: type
     acts: bool = True
-    """They press, move or turn: they are made safe. Else they only look."""
+    """The devices press, move or turn, and are made safe. False: they only measure."""
     of_part: bool = False
-    """They are built for one part: anew for each job."""
+    """The devices are built anew for each job's part."""
     chosen: bool = True
-    """A job uses one of them; else all that there are."""
+    """A job uses one of the devices. False: it uses all of them."""
 
 
 class DeviceSection(ConfigSection):
-    """A device: its type, and the raw options that the type's own model judges (see ``device_options``).
+    """A device: its type, and the raw options that the type's model validates (see ``device_options``).
 
-    Or a table of several, by names of the user's: ``[robot.left]`` and ``[robot.right]`` are such sections each.
+    Or a table of several devices with names: ``[robot.left]`` and ``[robot.right]`` are then such sections.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True)
     type: Text | None = None
-    """A device type that a loaded plugin has; its plugin says which other keys there are."""
+    """A device type of a loaded plugin. The type defines the other keys."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Self:
@@ -79,11 +79,11 @@ class DeviceSection(ConfigSection):
 
     @property
     def tables(self) -> dict[str, dict[str, Any]]:
-        """Of a table of several: each one's keys, as they stand in the file."""
+        """Keys of each device of a table of several, as written."""
         return {} if self.type else {k: v for k, v in (self.model_extra or {}).items() if isinstance(v, dict)}
 
     def devices(self, port: str) -> dict[str, DeviceSection]:
-        """By name: its dotted section."""
+        """Return the section of each device by its dotted name."""
         if self.type is not None:
             return {port: self}
         return {f"{port}.{name}": type(self).model_validate(keys) for name, keys in self.tables.items()}
@@ -92,58 +92,59 @@ class DeviceSection(ConfigSection):
 class RobotSection(DeviceSection):
     """The robot that carries the tool along its program.
 
-    `type` says which other keys there are.
+    `type` defines the other keys.
     """
 
     least_override: Annotated[float, Field(ge=0, le=1)] = 0.95
-    """Least speed override at the controller, where it can be read: below it contact is refused, or left, for slower
-    motion removes more than planned. [1]"""
+    """Least speed override at the controller, if it can be read. Below it the daemon refuses or leaves contact, because
+    slower motion removes more than planned. [1]"""
     no_progress_s: Annotated[float, Field(gt=0, le=10)] | None = None
-    """Time beyond a block's expected time without any progress, after which the robot counts as standing and contact is
-    left. Left out: the age of its reports and 0.2 s. `polishd check` prints what a standing tool removes in it."""
+    """Time without progress beyond a block's expected time. The daemon then takes the robot as stopped and leaves
+    contact. Left out: the age of the robot's reports plus 0.2 s. `polishd check` prints how much a tool that does not
+    move removes in this time."""
 
 
 class ForceSensorSection(DeviceSection):
-    """A force sensor that is independent of the actuator: both must tell the same force (docs/monitors.md).
+    """A force sensor independent of the actuator: both must report the same force (docs/monitors.md).
 
-    `type` says which other keys there are.
+    `type` defines the other keys.
     """
 
     max_difference_n: Positive = 1.0
-    """How far its word and the actuator's may be apart; farther for `alarm_delay_s` is a safety stop."""
+    """Largest difference between its reading and the actuator's. A larger one for `alarm_delay_s` is a safety stop."""
     alarm_delay_s: Annotated[float, Field(ge=0, le=10)] = 0.5
-    """How long they may be apart: filters differ, and a landing is steep."""
+    """Time for which the difference may be larger: filters differ, and the force rises steeply at landing."""
 
 
 class NotifySection(ConfigSection):
-    """A way to reach a person: `[notify.mail]`, by names of the user's. `type` says which other keys there are."""
+    """A way to notify people, with a name: `[notify.mail]`. `type` defines the other keys."""
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
     type: Text
-    """A notifier type that a loaded plugin has: `email`, `webhook` and `command` of polishd's `notifications`."""
+    """A notifier type of a loaded plugin: polishd's `notifications` has `email`, `webhook` and `command`."""
     severity: Literal["info", "warning", "alarm"] = "warning"
-    """The least that is told: `warning` is all for which the cell needs a person, `alarm` what cannot wait."""
+    """Lowest severity that is sent: `warning` needs an operator, `alarm` needs one at once."""
     remind_after_s: Annotated[float, Field(ge=0, le=86400)] = 1800.0
-    """What happens again within that time is counted, and told once at its end; 0: each time."""
+    """Time in which repeats of a notification are counted and sent as one at its end. 0: each one is sent."""
 
 
 class CellSection(ConfigSection):
-    """Who this cell is, and where it keeps its state."""
+    """The cell's name, and the folder of its state."""
 
     name: Name
     """The cell's name, in the log, the journal and the report."""
     state_dir: Text
     """Folder of the journal, the lock, the socket and the log; one daemon per folder."""
     run_dir: Text | None = None
-    """Where the run folder goes; left out: `state_dir/runs/<job>-<time>`."""
+    """The run folder. Left out: `state_dir/runs/<job>-<time>`."""
 
 
 class PluginsSection(ConfigSection):
     """The plugins to load, by entry-point name."""
 
     load: Annotated[Texts, Field(min_length=1)]
-    """The plugins to load, by entry-point name; nothing else is. A device type, format, model or solver of another
-    plugin is unknown."""
+    """The plugins to load, by entry-point name. Device types, formats, models and solvers of other plugins are
+    unknown."""
 
     @field_validator("load")
     @classmethod
@@ -158,31 +159,31 @@ class InstrumentSection(ConfigSection):
     """The instrument whose maps the cell polishes by."""
 
     profile: Text | None = None
-    """File of the profile of the instrument whose maps the cell polishes by; without one `run` refuses."""
+    """File of the instrument's profile. `polishd run` refuses a cell without one."""
     spike_threshold_mad: NotNegative = 0.0
-    """How far off the surface about it a sample is a spike and has no data, in scaled median absolute deviations; so
-    has a steep bump. 0: none is looked for. [MAD]"""
+    """Distance from the surrounding surface at which a sample is removed as a spike, in scaled median absolute
+    deviations. A steep bump is removed, too. 0: no spikes are searched. [MAD]"""
 
 
 class PartSection(OpticKeys):
-    """The part, and where it lies in the robot's base frame."""
+    """The part, and its pose in the robot's base frame."""
 
     id: Text
-    """The part's name, which each map must give."""
+    """The part's name. Each map must name the same part."""
     polygon_file: Text | None = None
     """Instead of `aperture_mm`: CSV file of the corners, columns `x_mm` and `y_mm`, in order around the part."""
     edge_mm: NotNegative = 3.0
-    """Width of the rim that the clear aperture leaves out: figures and tolerance do not count it."""
+    """Width of the rim outside the clear aperture. Figures and tolerance do not count it."""
     free_edge: bool = False
-    """Whether the part's edge is free, so that the bonnet sinks over it; else the part sits in a flush ring."""
+    """True: the part's edge is free, and the bonnet sinks over it. False: the part sits in a flush ring."""
     alignment: Literal["piston", "tilt", "power"] = "tilt"
-    """What of a map is alignment and no figure: piston; piston and tilt; piston, tilt and power."""
+    """Terms of a map that are alignment, not figure: piston; piston and tilt; piston, tilt and power."""
     form: Text | None = None
-    """A map of the form wanted, in the part's frame, where no null makes that flat in the interferometer's eyes."""
+    """A map of the desired form in the part's frame, for a test without a null that makes this form appear flat."""
     origin_mm: Vector
-    """The part's centre in the robot's base frame."""
+    """The part's center in the robot's base frame."""
     rotation_rpy_deg: Angles
-    """How its frame lies there: intrinsic turns about x, y' and z''; z is the surface's normal."""
+    """Rotation of its frame there: intrinsic rotations about x, y' and z''. z is the surface's normal."""
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:
@@ -192,324 +193,327 @@ class PartSection(OpticKeys):
         return self
 
     def misfits(self, outline: Outline) -> Iterator[tuple[str, str]]:
-        """(key, what is wrong) of what does not go with the part's outline."""
+        """Yield (key, problem) of values that contradict the part's outline."""
         depth, radius = outline.depth_mm, self.curvature_radius_mm
         if depth <= 0:
-            yield self.outline_key, "the part's centre, x 0 and y 0, lies outside; give corners about it"
+            yield self.outline_key, "the part's center, x 0 and y 0, lies outside; give corners around it"
         elif self.edge_mm >= depth:
             yield (
                 "edge_mm",
-                f"no clear aperture is left: the part's middle lies {depth:g} mm from its rim; must be less",
+                f"no clear aperture is left: the part's center is {depth:g} mm from its rim; must be less",
             )
         if radius is not None and (1 + self.conic) * outline.radius_mm**2 >= radius**2:
             across = 2 * outline.radius_mm
-            yield "curvature_radius_mm", f"{radius:g} mm is no surface of {across:g} mm aperture"
+            yield "curvature_radius_mm", f"{radius:g} mm is too small for an aperture of {across:g} mm"
 
 
 class ProgramSection(ConfigSection):
-    """The part program, and how its frame lies on the part: ``part = rotation_z @ program + offset``."""
+    """The part program, and the pose of its frame on the part: ``part = rotation_z @ program + offset``."""
 
     path: Text
     """The part program."""
     format: Text = "rs274"
     """Its dialect, as `polishd program dialects` lists them."""
     dialects: Texts = ()
-    """Profiles of your own (TOML), which `format` may then name."""
+    """Your own dialect profiles (TOML), which `format` may then name."""
     coverage: Literal["aperture", "zone"] = "aperture"
-    """Whether it reaches the whole clear aperture, or leaves a part of it alone on purpose."""
+    """`aperture`: the program must reach the whole clear aperture. `zone`: it deliberately leaves out a part of it."""
     offset_mm: Vector = (0.0, 0.0, 0.0)
-    """Where the program's origin lies on the part: `part = rotation_z(rotation_deg) @ program + offset`."""
+    """Position of the program's origin on the part: `part = rotation_z(rotation_deg) @ program + offset`."""
     rotation_deg: Angle = 0.0
-    """How the program's frame is turned on the part, counter-clockwise."""
+    """Rotation of the program's frame on the part, counter-clockwise."""
 
 
 class MachineSection(ConfigSection):
-    """What the machine can do, from its data sheet, on the safe side."""
+    """Limits of the machine from its data sheet, on the safe side."""
 
     max_feed_mm_s: Annotated[
         float, Field(gt=0, json_schema_extra={"range": f"<= {MOST_FEED_MM_S:g}"}), AfterValidator(_feed)
     ]
-    """Fastest feed of a plan: it bounds each block's time from below. Data sheets often say mm/min."""
+    """Highest feed of a plan, the lower bound of each block's time. Data sheets often use mm/min."""
     min_feed_mm_s: Positive
-    """Slowest feed of a plan: it bounds each block's time from above."""
+    """Lowest feed of a plan, the upper bound of each block's time."""
     accel_mm_s2: Annotated[float, Field(gt=0, le=MOST_ACCEL_MM_S2)]
-    """Acceleration that planned times count with, on the safe side; at most two g."""
+    """Acceleration used for planned times, on the safe side; at most two g."""
     block_overhead_s: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Time that a block takes beyond its motion, at first; learned from what was executed."""
+    """Start value of the time that a block takes beyond its motion. The daemon estimates it from executed passes."""
     corner_deg: Annotated[float, Field(ge=0, le=180)] = 30.0
     """Change of direction beyond which the machine stops at a block's end."""
     x_mm: Range
-    """Range of the tool's tip along the program's x; a plan beyond it is refused."""
+    """Range of the tool's tip along the program's x. A plan beyond it is refused."""
     y_mm: Range
-    """The same along y."""
+    """Range of the tool's tip along y."""
     z_mm: Range
-    """The same along z."""
+    """Range of the tool's tip along z."""
 
     @model_validator(mode="after")
     def _feeds_ordered(self) -> Self:
         if self.min_feed_mm_s >= self.max_feed_mm_s:
-            raise ValueError("min_feed_mm_s: must be less than max_feed_mm_s; exchange or mend them")
+            raise ValueError("min_feed_mm_s: must be less than max_feed_mm_s; exchange or correct them")
         return self
 
 
 class DwellSection(ConfigSection):
-    """How the dwell is solved, and by whom it is checked."""
+    """Solver of the dwell, and its check."""
 
     solver: Text = "auto"
-    """Who solves: `auto`, the fastest of polishd's own, or the name that a plugin gives it."""
+    """Name of the solver: `auto`, the fastest of polishd's solvers, or the name of a plugin's solver."""
     cross_check: str = "qp"
-    """An independent solver that is asked about the same problem; `""` for none."""
+    """An independent solver for the same problem; `""` for none."""
     cross_check_above: NotNegative = 1e-4
-    """It is asked where the certificate cannot prove by itself that less than this share of the objective could be
-    gained (`gap`); 0: always. [1]"""
+    """The cross-check runs if the certificate cannot prove that less than this share of the objective could be gained
+    (`gap`). 0: it always runs. [1]"""
     regularisation: NotNegative = 1e-4
     """Weight of the squared dwell, as rho = regularisation N_r / sigma_max^2: more conditions better and follows less.
     [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     """How the surface goes on beyond the part's rim, where the map has no data."""
     cpu_limit_s: Seconds = 120.0
-    """CPU seconds for the whole solve step of a cycle: removal model, rounds, choice, cross-check and curve. On the
-    wall, 10 times as many and 60 s."""
+    """CPU seconds for the whole solve step of a cycle: removal model, iterations, objective, cross-check and curve. The
+    wall time may be 10 times as long, plus 60 s."""
     kkt_tolerance: Share = 1e-4
-    """Largest KKT residual of a dwell that is used; one beyond it gives no plan. [1]"""
+    """Largest KKT residual of a dwell. A dwell with a larger one is not used. [1]"""
     objective: Choice = "least"
-    """Which dwell: the least residual, or a point of the curve of residual against time, where 1 % more time buys
-    less than 1 %, at `target_nm`, or within `budget_s`. Or `as_programmed`: the times that the program has, whatever
-    the map says, for one pass that is to teach, not to correct."""
+    """Selection of the dwell: the least residual, or a point on the curve of residual against time: where 1 % more time
+    improves it by less than 1 %, at `target_nm`, or within `budget_s`. `as_programmed` keeps the program's times for
+    any map, for one pass that estimates the removal and does not correct."""
     budget_s: Positive | None = None
-    """Total dwell for `objective = "budget"`: the best residual in it."""
+    """Total dwell for `objective = "budget"`, which takes the best residual within it."""
     target_nm: Positive | None = None
     """RMS to reach for `objective = "target"`, in the least time."""
     curve: bool = False
-    """Whether each plan comes with its curve of residual against time, which takes some 15 solves."""
+    """Add the curve of residual against time to each plan. It takes about 15 solves."""
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:
         for rule, key in (("budget", "budget_s"), ("target", "target_nm")):
             if (self.objective == rule) != (getattr(self, key) is not None):
-                raise ValueError(f'{key}: goes with objective = "{rule}", and only with it')
+                raise ValueError(f'{key}: set it together with objective = "{rule}", or leave out both')
         if self.cross_check == self.solver:
             raise ValueError('cross_check: must be another solver than dwell.solver, or "" for none')
         return self
 
 
 class JobSection(ConfigSection):
-    """What is to be reached, and with how much effort."""
+    """The goal of a job, and its limits."""
 
     id: Name
-    """The job's name: a run folder has it, and a daemon that is started again goes on with the same."""
+    """The job's name. It is in the run folder's name, and a restarted daemon continues the job of this name."""
     tolerance_nm: Positive | None = None
-    """RMS in the clear aperture at which the part is done: the short form of a `[[tolerance]]` with `rms_nm`."""
+    """RMS in the clear aperture at which the part is accepted: the short form of a `[[tolerance]]` with `rms_nm`."""
     tolerance_period_mm: NotNegative = 0.0
     """Period above which `tolerance_nm` counts; 0: all periods."""
     accept_by: Accept | None = None
-    """By what an RMS is accepted: as it was measured (`figure`), by the one-sided 95 % bound of the part's own RMS, or
-    by that bound without power, which the certificate then says. Left out: `bound` where the instrument's profile has
-    a system map, else `figure`."""
+    """Value by which an RMS is accepted: the measured one (`figure`), the one-sided 95 % bound of the part's RMS
+    (`bound`), or that bound without power (`bound_without_power`), which the certificate then states. Left out:
+    `bound` if the instrument's profile has a system map, else `figure`."""
     lsf_period_mm: Positive = 33.0
     """Period above which the low-frequency figure (`lsf_rms_nm`) counts."""
     max_cycles: Annotated[int, Field(ge=1, le=100)] = 4
-    """Most passes; after the last a measurement still decides. [1]"""
+    """Largest number of passes. A measurement follows the last one, too. [1]"""
     approve: bool = False
-    """Each plan waits for a person's `polishd approve` before its pass; nothing moves before."""
+    """Each plan waits for `polishd approve` before its pass. Nothing moves until then."""
     stream_ahead_s: Annotated[float, Field(ge=0.2, le=600)] = 8.0
-    """Wall seconds of motion that are sent ahead: enough to lift the tool while the robot still moves."""
+    """Wall seconds of motion that are sent ahead. They must suffice to lift the tool while the robot still moves."""
 
 
 class MemorySection(ConfigSection):
-    """What a job takes over from the jobs before it (docs/beliefs.md)."""
+    """Estimates that a job takes over from earlier jobs (docs/estimates.md)."""
 
     use_previous: bool = True
-    """Begin a job with what the last pass of its series has taught: the same tool, process, robot and instrument."""
+    """Start a job with the estimates of the last pass with the same tool, process, robot and instrument."""
     tool: Text | None = None
-    """Name of the tool on the spindle: under another name all is learned anew."""
+    """Name of the tool on the spindle. A new name starts new estimates."""
 
 
 class CertificateSection(ConfigSection):
-    """Who issues certificates of this cell's parts (docs/certificate.md)."""
+    """Issuer of the certificates of this cell's parts (docs/certificate.md)."""
 
     shop: str = ""
-    """The shop's name, as a certificate has it."""
+    """The shop's name on a certificate."""
     key: Text | None = None
-    """File of the shop's private key, made by `polishd report keygen`, which signs certificates. Left out: they are not
-    signed."""
+    """File of the shop's private key, made by `polishd report keygen`, which signs certificates. Left out: certificates
+    are not signed."""
 
 
 class LimitsSection(ConfigSection):
-    """What must never happen to the part."""
+    """Limits that protect the part."""
 
     force_band: Share = 0.25
-    """How far the force may be off what was asked, relative; outside for `force_alarm_delay_s` is a safety stop. [1]"""
+    """Largest relative deviation of the force from its set point. A larger one for `force_alarm_delay_s` is a safety
+    stop. [1]"""
     force_alarm_delay_s: Annotated[float, Field(ge=0, le=10)] = 0.3
-    """How long it may be outside."""
+    """Time for which the force may be outside `force_band`."""
     max_removal_nm: Positive = 1000.0
-    """Most that one pass may remove at any point; a plan beyond it is refused."""
+    """Largest removal of one pass at any point. A plan beyond it is refused."""
     excess_nm: Positive | None = None
-    """Most that may be removed beyond the plan at any place because the robot is slower than planned; contact is left
-    before. Left out: the larger of half of the tolerance and a tenth of what is planned at that place."""
+    """Largest removal beyond the plan at any point because the robot is slower than planned. The daemon leaves contact
+    before. Left out: the larger of half of the tolerance and a tenth of the planned removal at that point."""
     max_stall_removal_nm: Positive = 10.0
-    """Deepest pit that an operator's feed hold may dig before the force is off, where the robot's controller tells of
-    it in its reports only; a cell whose robot could dig deeper is refused."""
+    """Deepest pit that an operator's feed hold may make before the force is off, if the robot's controller shows the
+    hold in its reports only. A cell whose robot could make a deeper one is refused."""
     max_pass_s: Positive = 86400.0
-    """Longest process time of one pass. A day by default: a metre's pass takes 17 h, and one with a removal rate
-    that is wrong by the unit's factor of 100 takes days."""
+    """Longest process time of one pass. The default is a day: a pass over a meter takes 17 h, and a pass with a removal
+    rate that is wrong by a unit's factor of 100 takes days."""
     max_rate_change: Share = 0.4
-    """How far from 1 a learned removal rate may be, relative: beyond it the limit is taken, and where two standard
-    errors do not explain that, the cell is held. [1]"""
+    """Largest relative distance of an estimated removal rate from 1. Beyond it the limit is used, and the cell is held
+    if two standard errors do not explain the difference. [1]"""
     max_rate_drift: Share = _FINDING.max_rate_drift
-    """How far the removal rate may move during one pass, or from that of the first passes of this process, relative:
-    beyond it, and surely so, the cell is held. [1]"""
+    """Largest relative change of the removal rate during one pass, or since the first passes of this process. The cell
+    is held if a change is significantly larger. [1]"""
     max_spot_change: Share = _FINDING.max_spot_change
-    """How much wider or narrower than the model's the spot may be, relative; likewise. [1]"""
+    """Largest relative difference between the spot's width and the model's. The cell is held if a difference is
+    significantly larger. [1]"""
     min_improvement: ShareOrNone = _FINDING.min_improvement
-    """Least share of the predicted gain in RMS that a pass must bring: two in a row that bring less end the job as
-    stalled; 0: none does. [1]"""
+    """Least share of the predicted RMS improvement that a pass must reach. Two passes in a row below it end the job as
+    stalled. 0: no pass does. [1]"""
 
     @property
     def finding(self) -> FindingLimits:
-        """What is looked for in the passes, and beyond what."""
+        """Limits beyond which a pass reports a finding."""
         return FindingLimits(self.max_rate_drift, self.max_spot_change, self.min_improvement)
 
 
-# What a cell's file says of a part's seat, and of what happens between passes.
+# Touch-off, and steps between passes.
 
 
 class TouchOffSection(ConfigSection):
-    """Height and seat of the part, proved before contact: left out, nobody proves them."""
+    """Check of the part's height and seat before contact. Left out: they are not checked."""
 
     force_n: Annotated[float, Field(gt=0, le=0.8)] = 0.8
-    """Force with which the tool rests on each place, its spindle at rest; a quarter more is let pass, 1 N at most."""
+    """Force with which the tool rests on each point, with the spindle stopped. A quarter more is accepted, at most
+    1 N."""
     force_max_n: Annotated[float, Field(gt=1, le=10)] = 2.0
-    """Largest force that any device may read in a touch-off: one reading above it, or a rise that would pass it before
-    the next one, leaves contact at once."""
+    """Largest force that any device may read in a touch-off. One reading above it, or a rise that would exceed it
+    before the next reading, makes the daemon leave contact at once."""
     position_mm: Positive | None = None
-    """Position of the actuator, in contact with that force, where the tool's tip is where the program says; left out:
+    """Position of the actuator in contact with that force when the tool's tip is at the programmed point. Left out:
     half of `actuator.stroke_mm`."""
     max_offset_mm: Positive = 0.3
-    """Farthest that any point of the part may sit from where `part` says. The tool is driven no deeper than that."""
+    """Largest distance of any point of the part from its position by `[part]`. The tool goes no deeper than that."""
     points_mm: Annotated[tuple[Pair, Pair, Pair] | None, BeforeValidator(as_tuple)] = None
-    """Three places (x, y) on the part or its ring, outside the clear aperture; left out: on the middle of the rim that
-    `part.edge_mm` leaves out."""
+    """Three points (x, y) on the part or its ring, outside the clear aperture. Left out: points in the middle of the
+    rim of `part.edge_mm`."""
     each_pass: bool = False
-    """Whether the part leaves its seat to be measured: then it is proved before each pass, else before the first one
+    """Check the seat before each pass, for a part that leaves its seat to be measured. False: before the first pass
     after a start, a hold or an interruption."""
 
 
 class StepSection(ConfigSection):
-    """A step that a person or a command does, tool up and robot at rest."""
+    """A step done by the operator or by a command, with the tool up and the robot at rest."""
 
     operator: Text | None = None
-    """What a person is asked to do: the cell is held until `polishd resume`."""
+    """Instruction to the operator. The cell is held until `polishd resume`."""
     command: Texts = ()
-    """Program and arguments, run in the folder of the cell's file; done when it ends with 0."""
+    """Program and arguments, run in the folder of the cell's file. Exit code 0 means done."""
     timeout_s: Seconds = 600.0
-    """Longest that the command may take; it is killed then."""
+    """Time limit of the command, which is killed after it."""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
         if (self.operator is None) == (not self.command):
-            raise ValueError('operator: say who does it: operator = "wipe the part", or command = ["./wash.sh"]')
+            raise ValueError('operator: set one of operator = "wipe the part" and command = ["./wash.sh"]')
         return self
 
 
 class SettleSection(ConfigSection):
-    """Maps are taken until two in a row agree within the instrument's noise; the last one counts."""
+    """Repeat the measurement until two maps in a row agree within the instrument's noise. The last one counts."""
 
     wait_s: Annotated[float, Field(ge=0, le=86400)] = 60.0
-    """Between two maps."""
+    """Time between two maps."""
     max_maps: Annotated[int, Field(ge=2, le=1000)] = 10
-    """Most maps of one measurement; where none agrees with the one before, the cell is held. [1]"""
+    """Largest number of maps of one measurement. The cell is held if no two in a row agree. [1]"""
 
 
 class BetweenSection(ConfigSection):
-    """What happens between passes: each table that is there."""
+    """Steps between passes. Each table that is present is done."""
 
     clean: StepSection | None = None
-    """Before the part is measured."""
+    """Clean the part before each measurement."""
     settle: SettleSection | None = None
-    """While it is measured, the first time too."""
+    """Wait for thermal equilibrium in each measurement, also the first."""
     condition: StepSection | None = None
-    """Of the pad, before the next pass."""
+    """Condition the pad before the next pass."""
     change: StepSection | None = None
-    """Of the tool, where there are [tools]; its name is in `POLISHD_TOOL`. Left out: a person mounts it."""
+    """Change the tool, if there are [tools]. `POLISHD_TOOL` has its name. Left out: the operator mounts it."""
 
 
-# ``[signals.NAME]``: what a signal of the cell must be before contact and in it, and what it leads to.
+# ``[signals.NAME]``: required values of a signal before contact and in it, and the action if it is out of range.
 
 
 class BoundsSection(ConfigSection):
-    """What a signal must be: a state, or a range."""
+    """Required value of a signal: a state, or a range."""
 
     min: float | None = None
-    """Least that it may be. [in `unit`]"""
+    """Smallest allowed value. [in `unit`]"""
     max: float | None = None
-    """Most that it may be. [in `unit`]"""
+    """Largest allowed value. [in `unit`]"""
     state: bool | None = None
-    """What a signal that is on or off must be."""
+    """Required state of a signal that is on or off."""
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         if self.state is None and self.min is None and self.max is None:
-            raise ValueError("says nothing; write min, max, or state")
+            raise ValueError("has no limit; write min, max, or state")
         if self.state is not None and (self.min, self.max) != (None, None):
-            raise ValueError("state: goes without min and max; a signal is a state or a number")
+            raise ValueError("state: cannot be combined with min and max; a signal is a state or a number")
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError("min: must be at most max")
         return self
 
     @property
     def bounds(self) -> SignalRange:
-        """As they are judged."""
+        """The required range as the daemon checks it."""
         return SignalRange(self.min, self.max, self.state)
 
 
 class BeforeSection(BoundsSection):
-    """What it must be before contact: the cell waits for that, and is then held."""
+    """Required value before contact. The cell waits for it, and is held after `wait_s`."""
 
     wait_s: Annotated[float, Field(ge=0, le=3600)] = 30.0
-    """How long it is waited for."""
+    """Longest wait for the value."""
 
 
 class InContactSection(BoundsSection):
-    """What it must be in contact."""
+    """Required value in contact."""
 
     alarm_delay_s: Annotated[float, Field(ge=0, le=600)] = 0.5
-    """How long it may be otherwise, or not known."""
+    """Time for which the value may be out of range or unknown."""
 
 
 class SignalSection(ConfigSection):
-    """A signal of the cell that is watched: slurry flow, a pressure, a guard (docs/monitors.md)."""
+    """A monitored signal of the cell: slurry flow, a pressure, a guard (docs/monitors.md)."""
 
     monitor: Name | None = None
-    """Which of several monitors tells it: `plc` of `[monitor.plc]`."""
+    """The monitor that reads it, if there are several: `plc` of `[monitor.plc]`."""
     signal: Text | None = None
-    """How the monitor calls it; left out: as its section is named."""
+    """Its name at the monitor. Left out: the name of this section."""
     unit: str = ""
-    """Of its values, for messages."""
+    """Unit of its values, for messages."""
     measures: Literal["force"] | None = None
-    """It measures the force on the part, in N: one value above `process.force_max_n` (in a touch-off
-    `touch_off.force_max_n`) leaves contact at once, whatever else is asked of it."""
+    """It measures the force on the part, in N. One value above `process.force_max_n` (in a touch-off
+    `touch_off.force_max_n`) makes the daemon leave contact at once, independent of the other keys."""
     before: BeforeSection | None = None
     in_contact: InContactSection | None = None
     on_start: BoundsSection | None = None
-    """What it must be when a person orders motion, wherever from: the key at the cell that says it is clear. Else
-    `resume` and `approve` are refused."""
+    """Required value when the operator orders motion, from any terminal: a key switch at the cell, for example. With
+    another value `resume` and `approve` are refused."""
     action: SignalAction = "hold"
-    """What follows in contact: people are told and it goes on; contact is left, and the cell is held; or its daemon
-    ends as after any safety stop; or motion stops at once, whatever the part costs."""
+    """Action in contact: send a notification and continue; leave contact and hold the cell; leave contact and end the
+    daemon with a safety stop; or stop motion at once, even if that damages the part."""
 
     @model_validator(mode="after")
     def _is_watched(self) -> Self:
         if self.measures == "force" and self.unit not in {"", "N"}:
-            raise ValueError(f'unit: is {self.unit!r}, and a signal that measures the force has "N"')
+            raise ValueError(f'unit: is {self.unit!r}; a signal that measures the force has "N"')
         if (self.before, self.in_contact, self.on_start, self.measures) == (None, None, None, None):
-            raise ValueError("nothing is asked of it; write before = {...}, in_contact = {...}, or both")
+            raise ValueError("has no requirement; write before = {...}, in_contact = {...}, or both")
         if self.in_contact is None and "action" in self.model_fields_set:
-            raise ValueError("action: goes with in_contact; what is not so before contact holds the cell")
+            raise ValueError("action: needs in_contact; a wrong value before contact holds the cell")
         return self
 
     def limits(self, name: str) -> SignalLimits:
-        """As the daemon watches it."""
+        """Return the limits that the daemon monitors."""
         before, in_contact = self.before, self.in_contact
         return SignalLimits(
             name=name,

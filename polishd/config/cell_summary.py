@@ -1,7 +1,6 @@
-"""Who a cell is and where its daemon is found, at a glance: without the models of all that a cell may say.
+"""Read a cell's name and state folder quickly, without the models of its other sections.
 
-Whoever asks a daemon how it is, or wants it to stop, waits for no more than that; and a file that was broken under a
-running daemon keeps nobody from holding it.
+Commands such as `status` and `hold` need no more. They work even if the file was damaged while the daemon runs.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from polishd.util.files import toml_text
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """Of one cell."""
+    """Name and state folder of a cell."""
 
     name: str
     """As ``cell.name``."""
@@ -27,25 +26,25 @@ class CellSummary:
 
 
 def cell_summary(path: Path) -> CellSummary:
-    """Of a cell's file; where that cannot be said, the ConfigError is the one of ``load_config``."""
+    """Read the summary from a cell's file; raise the ConfigError of ``load_config`` if that fails."""
     try:
-        name, state_dir = (_said(path, key) for key in ("name", "state_dir"))
+        name, state_dir = (_cell_value(path, key) for key in ("name", "state_dir"))
     except (ConfigError, ValueError, LookupError):
-        from polishd.config.cell import load_config  # it says what is wrong, and where
+        from polishd.config.cell import load_config  # its error names the fault and its line
 
         config = load_config(path)
         return CellSummary(config.cell.name, config.state_dir)
     return CellSummary(name, path.absolute().parent / Path(state_dir).expanduser())
 
 
-def _said(path: Path, key: str) -> str:
-    """The last word on that key of ``[cell]``: that of the file, or of the fragments which are laid over it."""
+def _cell_value(path: Path, key: str) -> str:
+    """Return the value of that key of ``[cell]``: that of the last fragment which has it, or of the file."""
     raw = _read(path)
     fragments = [_read(path.parent / Path(name).expanduser()) for name in _included_files(raw)]
-    said = [part["cell"][key] for part in (raw, *fragments) if key in part.get("cell", {})]
-    if not said or not isinstance(said[-1], str) or not said[-1]:
+    values = [part["cell"][key] for part in (raw, *fragments) if key in part.get("cell", {})]
+    if not values or not isinstance(values[-1], str) or not values[-1]:
         raise LookupError(key)
-    return said[-1]
+    return values[-1]
 
 
 def _read(path: Path) -> Mapping[str, Any]:

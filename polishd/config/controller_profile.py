@@ -1,6 +1,6 @@
-"""Profiles of robot controllers that load files: what their variables are called, and what their values mean.
+"""Profiles of robot controllers that load files: names of their variables, and meanings of their values.
 
-The shipped ones are ``controller_profiles/*.toml``; what each variable is for: docs/protocols/plc_robot.md.
+The shipped ones are ``controller_profiles/*.toml``. docs/protocols/plc_robot.md describes each variable.
 """
 
 from __future__ import annotations
@@ -27,145 +27,147 @@ class Variable(ConfigSection):
     """A variable of the controller."""
 
     address: Text
-    """Where it is: a node (`ns=2;s=...`, `nsu=URI;s=...`) for opcua, a symbol (`MAIN.state`) for ads, a register
+    """Its address: a node (`ns=2;s=...`, `nsu=URI;s=...`) for opcua, a symbol (`MAIN.state`) for ads, a register
     (`holding:40`, `input:7`, `coil:3`, `discrete:0`) for modbus."""
     type: Kind
-    """What it holds there. A `string` has no place in Modbus."""
+    """Its data type. Modbus has no `string`."""
 
 
 class CommandVariable(Variable):
-    """One that polishd sets, and takes back."""
+    """A variable that polishd sets and resets."""
 
     on: bool | int = True
-    """What orders. [1]"""
+    """Value of the command. [1]"""
     off: bool | int = False
-    """What does not. [1]"""
+    """Value without a command. [1]"""
     takes_back: bool = False
-    """The controller takes it back by itself, so polishd does not."""
+    """The controller resets it, so polishd does not."""
 
 
 class Flag(Variable):
-    """One that says yes or no."""
+    """A variable that is true or false."""
 
     on: bool | int = True
-    """What says yes. [1]"""
+    """Value for true. [1]"""
 
 
 class ClockVariable(Variable):
-    """One that counts time."""
+    """A variable that counts time."""
 
     unit_s: Positive = 1.0
-    """Seconds that one more of it stand for."""
+    """Seconds per count."""
 
 
 class Override(Variable):
     """The feed override."""
 
     full: Positive = 100.0
-    """What it shows where the program's own feeds are run. [1]"""
+    """Its value at the programmed feeds. [1]"""
 
 
 class LineVariable(Variable):
-    """Where in its program the controller is."""
+    """The controller's position in its program."""
 
     shows: Literal["executed", "interpreted"]
-    """`executed`: the block that moves now. `interpreted`: the block that is read now, ahead of the motion by a number
-    that nobody knows; refused."""
+    """`executed`: the block that moves now. `interpreted`: the block that is read now, an unknown number of blocks
+    ahead of the motion; such a profile is refused."""
     counts: Literal["lines", "n_words"] = "lines"
-    """Lines of the file, or the N words that stand in it, which must rise."""
+    """Lines of the file, or the N words in it, which must increase."""
     first: Annotated[int, Field(ge=0, le=1)] = 1
     """The number of the file's first line. [1]"""
     stamped: bool = False
-    """Its time stamp (opcua) is the time at which it changed, and not the time at which it was asked for."""
+    """Its time stamp (opcua) is the time of the change, not the time of the read request."""
 
 
 class StateVariable(Variable):
-    """What the controller does. A value may stand for several: `paused` where the line is a pause of the file."""
+    """State of the controller. A value may belong to several states: `paused` if the line is a pause of the file."""
 
     idle: Values = ()
     """No program is loaded. [1]"""
     ready: Values = ()
-    """One is, and waits for its start. [1]"""
+    """A program is loaded and waits for its start. [1]"""
     running: Annotated[Values, Field(min_length=1)]
-    """It runs. [1]"""
+    """The program runs. [1]"""
     paused: Values = ()
-    """It stands at a pause of the program. [1]"""
+    """The program stopped at a pause in it. [1]"""
     held: Values = ()
-    """It was held, by polishd or by somebody else. [1]"""
+    """The program was held, by polishd or at the controller. [1]"""
     done: Values = ()
     """The program ran to its end. [1]"""
     ended: Values = ()
-    """It is over, whatever ended it. Without `done` polishd puts a pause before the end, to know. [1]"""
+    """The program ended, for any reason. Without `done` polishd adds a pause before the end, to detect it. [1]"""
     fault: Values = ()
-    """Something is wrong; alarms say what. [1]"""
+    """The controller has a fault; see its alarms. [1]"""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        for needed, either in (("a program that waits", "ready"), ("a pause", "paused")):
-            if not getattr(self, either):
-                raise ValueError(f"{either}: is missing: {needed} must be told from one that runs; add its values")
+        for name in ("ready", "paused"):
+            if not getattr(self, name):
+                raise ValueError(f"{name}: is missing; add the values that distinguish it from running")
         if not (self.done or self.ended):
-            raise ValueError("done: is missing: the end of a program must be seen; add done = [...] or ended = [...]")
+            raise ValueError(
+                "done: is missing: the end of a program must be visible; add done = [...] or ended = [...]"
+            )
         return self
 
 
 class VariablesTable(ConfigSection):
-    """The controller's variables, by what they mean."""
+    """The controller's variables, by meaning."""
 
     state: StateVariable
-    """What it does."""
+    """State of the controller."""
     line: LineVariable
-    """Where in the program it is."""
+    """Position in the program."""
     start: CommandVariable
-    """Starts the program, or goes on with it. Its rising edge counts."""
+    """Starts or continues the program. The rising edge counts."""
     hold: CommandVariable | None = None
-    """Holds, and lets nothing start while it stands; without it the profile is refused."""
+    """Holds the program, and prevents any start while it is on. Without it the profile is refused."""
     reset: CommandVariable | None = None
-    """Ends what is loaded, and acknowledges alarms."""
+    """Ends the loaded program, and acknowledges alarms."""
     load: CommandVariable | None = None
-    """Loads the file. Its rising edge counts; left out: writing `program` does."""
+    """Loads the file. The rising edge counts. Left out: writing `program` loads it."""
     program: Variable | None = None
-    """Gets the file's name before it is loaded."""
+    """Name of the file to load."""
     loaded: Variable | None = None
-    """The name of the file that is loaded."""
+    """Name of the loaded file."""
     feed_override: Override | None = None
-    """The operator's feed override; without it `feed_hold` is needed. Contact is refused, and left, below
-    `robot.least_override`."""
+    """The operator's feed override; without it `feed_hold` is needed. Below `robot.least_override` the daemon refuses
+    or leaves contact."""
     feed_hold: Flag | None = None
-    """Somebody holds the feed at the controller."""
+    """The operator holds the feed at the controller."""
     in_motion: Flag | None = None
     """An axis moves."""
     alarm: Variable | None = None
-    """Its number, or its text; 0 and an empty text are none."""
+    """Number or text of the alarm; 0 or an empty text: no alarm."""
     alarm_text: Variable | None = None
-    """What it says, where `alarm` is a number."""
+    """Text of the alarm, if `alarm` is a number."""
     heartbeat: Variable | None = None
-    """polishd counts it up; the controller holds by itself when it stands still."""
+    """polishd increments it; the controller holds if it stops."""
     controller_heartbeat: Variable | None = None
-    """The controller counts it up; the link counts as lost when it stands still."""
+    """The controller increments it; the link counts as lost if it stops."""
     clock: ClockVariable | None = None
-    """The controller's clock, for the times of blocks; left out: this computer's."""
+    """The controller's clock, for the times of blocks. Left out: this computer's clock."""
     line_began: ClockVariable | None = None
-    """When the block that `line` shows began, on `clock`: the controller's own word is finer than its reports."""
+    """Start time on `clock` of the block that `line` shows. It is more precise than the time of the report."""
     state_began: ClockVariable | None = None
-    """When it came to its state, likewise."""
+    """Start time on `clock` of the present state."""
     session: Variable | None = None
-    """Changes at each start of the controller; left out: what the link tells of that, if anything."""
+    """Changes at each start of the controller. Left out: the link's own session, if it has one."""
 
 
 class ProgramTable(ConfigSection):
-    """How programs are written for it. Lines that polishd puts into the file stand out of contact."""
+    """Format of programs for the controller. polishd adds lines to the file only out of contact."""
 
     file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=24)] = "polishd.nc"
-    """Name of the file that is handed over."""
+    """Name of the delivered file."""
     pause: Text = "M0"
-    """Line at which it stands until it is started again."""
+    """Line that stops the program until the next start."""
     dwell: Text = "G4 P{seconds:.3f}"
-    """Line that takes `{seconds}` at rest: it proves which line the controller shows."""
+    """Line that waits `{seconds}` at rest. It shows which line the controller reports."""
     end: str = "M2"
-    """Line behind a program without M2, M30 or a closing `%`; empty: none, as in languages other than G-code."""
+    """Line after a program without M2, M30 or a closing `%`. Empty: none, as in languages other than G-code."""
     longest_line: Annotated[int, Field(ge=8, le=65535)] = 250
-    """Longest line that it reads. [byte]"""
+    """Longest line that the controller reads. [byte]"""
 
     @model_validator(mode="after")
     def _asks_for_seconds(self) -> Self:
@@ -174,100 +176,100 @@ class ProgramTable(ConfigSection):
         except (KeyError, IndexError, ValueError):
             lines = set()
         if len(lines) != 2 or any("\n" in line for line in (*lines, self.pause, self.end)):
-            raise ValueError('dwell: wants {seconds} where the time stands, as in "G4 P{seconds:.3f}", on one line')
+            raise ValueError('dwell: must have {seconds} for the time, as in "G4 P{seconds:.3f}", on one line')
         return self
 
 
 class ControllerProfile(TomlDocument):
-    """A controller."""
+    """A robot controller."""
 
     name: Text
-    """What it is, for messages."""
+    """Name of the controller, for messages."""
     link: Literal["opcua", "ads", "modbus"]
-    """How its variables are reached."""
+    """Protocol of its variables."""
     report_ms: Milliseconds
-    """How often it renews its line and state."""
+    """Period at which it updates its line and state."""
     link_ms: Milliseconds = 20.0
-    """Longest from there to polishd."""
+    """Longest delay of the link to polishd."""
     heartbeat_ms: Milliseconds = 200.0
-    """How often polishd counts `heartbeat` up."""
+    """Period at which polishd increments `heartbeat`."""
     watchdog_s: Annotated[float, Field(gt=0, le=600)] | None = None
-    """It holds by itself when `heartbeat` stands still for so long."""
+    """Time without a new `heartbeat` after which the controller holds."""
     silence_s: Annotated[float, Field(ge=0.3, le=60)] = 1.5
-    """No answer, or no beat, for so long: its link counts as lost."""
+    """Time without an answer or a new `controller_heartbeat` after which its link counts as lost."""
     stop_s: Annotated[float, Field(gt=0, le=60)] = 5.0
-    """Longest from hold to standstill."""
+    """Longest time from hold to standstill."""
     pulse_ms: Milliseconds = 100.0
-    """How long an order stands, for the controller to see it."""
+    """Length of a command pulse that the controller can see."""
     load_s: Annotated[float, Field(gt=0, le=600)] = 30.0
-    """Longest that loading a file takes."""
+    """Longest time to load a file."""
     in_motion_wired: bool = False
-    """A wire from the controller takes the actuator's force off when motion stops: no link is waited for."""
+    """A wire from the controller takes the actuator's force off when motion stops, without a link's delay."""
     modbus_unit: Annotated[int, Field(ge=0, le=255)] = 1
     """Its unit number on Modbus. [1]"""
     order: Literal["big", "little"] = "big"
-    """Which word of two comes first in Modbus registers."""
+    """Order of the words of a value in Modbus registers."""
     variables: VariablesTable
     program: ProgramTable = ProgramTable()
 
     @model_validator(mode="after")
     def _watched(self) -> Self:
         if (self.watchdog_s is None) != (self.variables.heartbeat is None):
-            raise ValueError("watchdog_s: goes with [variables.heartbeat], and only with it")
+            raise ValueError("watchdog_s: set it together with [variables.heartbeat], or leave out both")
         for name in ("line_began", "state_began"):
             if getattr(self.variables, name) is not None and self.variables.clock is None:
-                raise ValueError(f"variables.{name}: is a time on [variables.clock]; add that")
+                raise ValueError(f"variables.{name}: is a time on [variables.clock]; add that section")
         return self
 
     @property
     def look_ms(self) -> float:
-        """Between two looks of polishd's: twice as often as the variables are renewed."""
+        """Poll period: half of the period at which the variables are updated."""
         return max(self.report_ms / 2, LEAST_LOOK_MS)
 
     @property
     def unseen_stop_s(self) -> float:
-        """Longest that it stands before polishd knows: renewed, looked at, told. 0 where a wire tells the actuator."""
+        """Longest time from a stop to its detection: update, poll and link. 0 if a wire stops the actuator's force."""
         return 0.0 if self.in_motion_wired else (self.report_ms + self.look_ms + self.link_ms) / 1e3
 
     @property
     def block_end_s(self) -> float:
-        """Standard deviation of a block's end, where only reports bound it; 0 where the controller tells it."""
-        told = self.variables.line_began is not None or self.variables.line.stamped
-        return 0.0 if told else self.report_ms / 1e3 / math.sqrt(12.0)
+        """Standard deviation of a block's end time, if only reports bound it; 0 if the controller gives the time."""
+        is_timed = self.variables.line_began is not None or self.variables.line.stamped
+        return 0.0 if is_timed else self.report_ms / 1e3 / math.sqrt(12.0)
 
     def refusal(self) -> tuple[str, str] | None:
-        """(key, why) this controller must not polish; None where it may."""
+        """Return (key, reason) why this controller must not polish, or None."""
         variables = self.variables
         if variables.hold is None:
-            return "variables", "there is no way to stop it; add [variables.hold]"
+            return "variables", "polishd could not stop it; add [variables.hold]"
         if variables.feed_hold is None and variables.feed_override is None:
             return "variables", (
-                "an operator's feed hold would not be seen, and the tool would dig; add [variables.feed_hold] or "
-                "[variables.feed_override]"
+                "polishd could not see an operator's feed hold, and the tool would make a pit; add "
+                "[variables.feed_hold] or [variables.feed_override]"
             )
         if variables.line.shows == "interpreted":
             return "variables.line.shows", (
-                "the line that is read runs ahead of the motion: what was executed would be guessed; name a variable "
-                'that shows the block in motion, and shows = "executed"'
+                "the interpreted line is ahead of the motion, so the executed block is unknown; name a variable that "
+                'shows the block in motion, and set shows = "executed"'
             )
         return None
 
     def require_usable(self) -> None:
-        """ConfigError with file, line and key where it must not polish."""
+        """Raise ConfigError with file, line and key if the controller must not polish."""
         if refused := self.refusal():
             raise self.error(*refused)
 
 
 def shipped() -> list[str]:
-    """Names of the profiles that come with polishd."""
+    """Return the names of the shipped profiles."""
     return sorted(path.stem for path in CONTROLLER_PROFILE_DIR.glob("*.toml"))
 
 
 def load_controller_profile(name: str, base_dir: Path) -> ControllerProfile:
-    """A shipped profile by its name, or the TOML file that ends in ``.toml``.
+    """Load a shipped profile by its name, or a file whose name ends in ``.toml``.
 
     Raises:
-        ConfigError: it is not known or cannot be read, or one line per problem: ``FILE:LINE: table.key: ...``.
+        ConfigError: the profile is unknown or cannot be read, or one line per problem: ``FILE:LINE: table.key: ...``.
     """
     if name.endswith(".toml"):
         return ControllerProfile.of(*load_toml(base_dir / Path(name).expanduser()))

@@ -1,4 +1,4 @@
-"""Device profiles: what a drive or a sensor says and hears on its wire, as data (docs/devices.md)."""
+"""Device profiles: the protocol of a drive or a sensor as data (docs/devices.md)."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from polishd.config.fields import ConfigSection, Positive, Range, Text, Texts, a
 from polishd.config.toml_loader import TomlDocument, did_you_mean, join_words
 from polishd.model.devices import ActuatorTimes, RegisterTable, SensorTimes, SpindleTimes
 
-# Units that a device profile may write, and what they are in polishd's own.
+# Units of device profiles, and their value in polishd's units.
 
 FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216, "ozf": 0.27801385}
 LENGTH = {"mm": 1.0, "um": 1e-3, "m": 1e3, "in": 25.4}
 SPEED = {"rpm": 1.0, "1/s": 60.0}
 FREQUENCY = {"Hz": 60.0}
-"""Of the current in the motor: rpm are 60 times as many for one pair of poles."""
+"""Of the motor's current: with one pole pair 1 Hz is 60 rpm."""
 TIME = {"ms": 1.0, "s": 1e3}
 PLAIN = {"1": 1.0}
 FACTORS = FORCE | LENGTH | SPEED | FREQUENCY | TIME | PLAIN
 KINDS = {"force": FORCE, "length": LENGTH, "speed": SPEED | FREQUENCY, "time": TIME}
-"""By what is measured: the units that fit, each with its worth in N, mm, rpm or ms."""
+"""Units by quantity, each with its value in N, mm, rpm or ms."""
 
 
 def factor(unit: str, pole_pairs: int) -> float:
-    """Worth of one of that unit in N, mm, rpm or ms."""
+    """Return the value of one unit in N, mm, rpm or ms."""
     return FACTORS[unit] / (pole_pairs if unit in FREQUENCY else 1)
 
 
-# The tables of a device profile: one frozen model each. What they mean: docs/devices.md.
+# The tables of a device profile: one frozen model each. docs/devices.md describes them.
 
 _ACTUATOR, _SPINDLE, _SENSOR = ActuatorTimes(), SpindleTimes(), SensorTimes()
 
@@ -45,33 +45,33 @@ Times = Annotated[float, Field(gt=0.0, le=120.0)]
 
 LEAST = {"u16": 0, "i16": -(1 << 15), "u32": 0, "i32": -(1 << 31), "bit": 0, "f32": -3.4e38}
 MOST = {"u16": (1 << 16) - 1, "i16": (1 << 15) - 1, "u32": (1 << 32) - 1, "i32": (1 << 31) - 1, "bit": 1, "f32": 3.4e38}
-"""Of the raw values of a register, by its type."""
+"""Range of a register's raw values, by its type."""
 
 
 class StateCondition(ConfigSection):
-    """A condition on one value that the device gives, in N, mm or rpm where it has a unit."""
+    """A condition on one value of the device, in N, mm or rpm if it has a unit."""
 
     when: Text
-    """Name of the value: a register's, or a group's of an answer."""
+    """Name of the value: of a register, or of a group of an answer."""
     mask: Annotated[int, Field(ge=1, le=0xFFFFFFFF)] | None = None
-    """Only these bits of it count. [1]"""
+    """Only these bits of the value count. [1]"""
     equals: Values = ()
-    """It is one of these numbers (or texts), ... [1]"""
+    """The value is one of these numbers (or texts). [1]"""
     unlike: Values = ()
-    """... or none of these, ... [1]"""
+    """The value is none of these. [1]"""
     above: float | None = None
-    """... or greater than this, ... [1]"""
+    """The value is greater than this. [1]"""
     below: float | None = None
-    """... or less than this. Of several conditions all must hold. [1]"""
+    """The value is less than this. If several conditions are set, all must hold. [1]"""
 
     @model_validator(mode="after")
     def _asks_something(self) -> Self:
         if not (self.equals or self.unlike) and self.above is None and self.below is None:
-            raise ValueError("when: asks nothing; add equals, unlike, above or below")
+            raise ValueError("when: has no condition; add equals, unlike, above or below")
         return self
 
     def holds(self, value: Value) -> bool:
-        """Whether it is so of that value."""
+        """Return True if the value meets the condition."""
         if isinstance(value, float) and self.mask is not None:
             value = float(int(value) & self.mask)
         fits = (not self.equals or value in self.equals) and value not in self.unlike
@@ -81,27 +81,27 @@ class StateCondition(ConfigSection):
 
 
 class StateRule(StateCondition):
-    """What the device's words for its state mean. The first rule that holds decides."""
+    """State of the device by its values. The first rule that holds decides."""
 
     state: Literal["retracted", "extending", "contact", "retracting", "fault", "stopped", "running", "taring"]
-    """Of an actuator, of a spindle (`stopped`, `running`), of a force sensor (`taring`: its readings mean nothing
-    yet), or `fault` of any."""
+    """State of an actuator, of a spindle (`stopped`, `running`), of a force sensor (`taring`: its readings are not
+    valid yet), or `fault` of any device."""
 
 
 class Quantity(ConfigSection):
-    """A number on the wire, and what it is worth."""
+    """A transmitted number, and its physical value."""
 
     unit: Text = "1"
-    """Its unit on the wire: N, mN, kN, kgf, gf, lbf, ozf; mm, um, m, in; rpm, 1/s, Hz (of the motor's current); ms, s;
-    1 for words of state and the like."""
+    """Its unit on the link: N, mN, kN, kgf, gf, lbf, ozf; mm, um, m, in; rpm, 1/s, Hz (of the motor's current); ms, s;
+    1 for status words and the like."""
     scale: float = 1.0
-    """One step of the number is so many of the unit. [1]"""
+    """Value of one step of the number in the unit. [1]"""
     offset: float = 0.0
-    """In the unit; added after scaling. [1]"""
+    """Added after scaling, in the unit. [1]"""
     negative: StateCondition | None = None
-    """When the number, which has no sign of its own, means less than nothing."""
+    """Condition under which an unsigned number is negative."""
     range: Range | None = None
-    """What can be true, in N, mm or rpm; anything else is another device, or another word order. [1]"""
+    """Plausible range in N, mm or rpm. A value outside comes from another device, or another word order. [1]"""
 
     @field_validator("unit")
     @classmethod
@@ -114,29 +114,29 @@ class Quantity(ConfigSection):
     @classmethod
     def _some(cls, scale: float) -> float:
         if scale == 0.0:
-            raise ValueError("scale must not be 0: no number could be read")
+            raise ValueError("scale must not be 0; write the value of one step")
         return scale
 
 
 class Register(Quantity):
-    """A register, or several that hold one value. Addresses count from 0, as on the wire."""
+    """A register, or several registers with one value. Addresses count from 0, as on the link."""
 
     address: Annotated[int, Field(ge=0, le=0xFFFF)]
-    """As on the wire, from 0: many manuals count from 1, or write 40001 for the first holding register. [1]"""
+    """Address on the link, from 0. Many manuals count from 1, or write 40001 for the first holding register. [1]"""
     table: RegisterTable = "holding"
-    """Read with function 3, 4, 1 or 2; written with 6 (or 16) or 5 (or 15)."""
+    """Register table. It is read with function 3, 4, 1 or 2, and written with 6 (or 16) or 5 (or 15)."""
     type: Literal["u16", "i16", "u32", "i32", "f32", "bit", "text"] = "u16"
-    """What the words are: whole, whole with a sign, a float of IEEE 754, one bit, or ASCII, two characters a word."""
+    """Data type: unsigned integer, signed integer, IEEE 754 float, one bit, or ASCII with two characters a word."""
     words: Annotated[int, Field(ge=1, le=64)] = 1
-    """Of a text: how many registers it fills. [1]"""
+    """Number of registers of a text. [1]"""
     word_order: WordOrder | None = None
-    """Of this one, where it is not as `modbus.word_order`."""
+    """Word order of this register, if it differs from `modbus.word_order`."""
     write_many: bool = False
-    """Written with function 16 (15), also where one word would do."""
+    """Written with function 16 (15), also for one word."""
 
     @property
     def size(self) -> int:
-        """Registers that it fills."""
+        """Number of registers."""
         return {"u32": 2, "i32": 2, "f32": 2, "text": self.words}.get(self.type, 1)
 
     @property
@@ -147,9 +147,11 @@ class Register(Quantity):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if self.bits != (self.type == "bit"):
-            raise ValueError(f'type: a {self.table} is {"" if self.bits else "not "}of type "bit"; mend one of the two')
+            raise ValueError(
+                f'type: a {self.table} is {"" if self.bits else "not "}of type "bit"; correct type or table'
+            )
         if self.words != 1 and self.type != "text":
-            raise ValueError("words: only a text has them")
+            raise ValueError('words: only type "text" has it; remove it')
         return self
 
 
@@ -157,7 +159,7 @@ class RegexGroup(Quantity):
     """A named group of an answer."""
 
     type: Literal["number", "hex", "text"] = "number"
-    """What its characters are."""
+    """Data type of its characters."""
 
 
 class LineRequest(ConfigSection):
@@ -166,7 +168,7 @@ class LineRequest(ConfigSection):
     send: Text
     """The request, without its ending."""
     answer: Text
-    """A regular expression that the whole answer fits; its named groups are values: `(?P<force>[-+]?\\d+\\.\\d+) N`."""
+    """Regular expression of the whole answer. Its named groups are values: `(?P<force>[-+]?\\d+\\.\\d+) N`."""
 
     @field_validator("answer")
     @classmethod
@@ -175,58 +177,58 @@ class LineRequest(ConfigSection):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the values that the answer has."""
+        """Names of the values in the answer."""
         return tuple(re.compile(self.answer).groupindex)
 
 
 def pattern(text: str) -> str:
-    """The text, if it is a regular expression."""
+    """Return the text if it is a regular expression; raise ValueError if not."""
     try:
         re.compile(text)
     except re.error as error:
-        raise ValueError(f"{text!r} is no regular expression: {error}; mend it") from error
+        raise ValueError(f"{text!r} is not a regular expression: {error}; correct it") from error
     return text
 
 
 class SerialTable(ConfigSection):
-    """The serial line; an address in the cell may say otherwise: `serial:PATH?baud=9600&parity=even&stop_bits=1`."""
+    """The serial port. An address in the cell may override it: `serial:PATH?baud=9600&parity=even&stop_bits=1`."""
 
     baud: Annotated[int, Field(ge=300, le=4_000_000)] = 115_200
-    """Its pace. [bit/s]"""
+    """Baud rate. [bit/s]"""
     parity: Literal["none", "even", "odd"] = "none"
-    """Of each byte."""
+    """Parity of each byte."""
     stop_bits: Literal[1, 2] = 1
-    """After each byte. [1]"""
+    """Stop bits after each byte. [1]"""
 
 
 class ModbusTable(ConfigSection):
     """The device speaks Modbus: RTU on a serial line, or TCP."""
 
     unit: Annotated[int, Field(ge=0, le=247)] = 1
-    """Its unit number; the cell may say otherwise. [1]"""
+    """Its unit number. The cell may override it. [1]"""
     word_order: WordOrder = "high_first"
-    """Of values of two words."""
+    """Word order of values of two words."""
     max_registers: Annotated[int, Field(ge=1, le=125)] = 125
-    """Most registers that it gives in one answer. [1]"""
+    """Largest number of registers in one answer. [1]"""
     pause_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    """Silence that it needs before a request, beyond the three and a half bytes of the standard."""
+    """Silence before a request, in addition to the 3.5 characters of the standard."""
     error_replies: dict[str, Text] = Field(default_factory=dict)
-    """What its exception codes mean, where the standard says too little: `4 = "a fault is set"`."""
+    """Meanings of its exception codes, in addition to the standard's: `4 = "a fault is set"`."""
 
 
 class LinesTable(ConfigSection):
     """The device speaks lines of ASCII text."""
 
     framing: Literal["plain", "numbered"] = "plain"
-    """`numbered`: `$` number `,` text `*` checksum, as docs/protocols/voice_coil_serial.md has it."""
+    """`numbered`: `$` number `,` text `*` checksum, as in docs/protocols/voice_coil_serial.md."""
     ending: Text = "\r\n"
-    """What ends a request."""
+    """End of a request."""
     answer_ending: Text = "\n"
-    """What ends an answer; a CR before it is dropped."""
+    """End of an answer. A CR before it is removed."""
     accepted: str = "OK"
-    """A regular expression that the answer to an order fits; `""`: orders are not answered."""
+    """Regular expression of the answer to a command; `""`: commands have no answer."""
     refused: str = ""
-    """A regular expression that a refusal fits, whatever was asked; its group `why`, if it has one, says why."""
+    """Regular expression of a refusal of any request. Its group `why`, if present, is the reason."""
 
     @field_validator("accepted", "refused")
     @classmethod
@@ -235,115 +237,116 @@ class LinesTable(ConfigSection):
 
 
 class CommandSteps(ConfigSection):
-    """What is written, in this order. On Modbus `"register = value"`; on lines the request itself.
+    """Steps of each command, in order. Modbus: `"register = value"`; lines: the request.
 
-    The value is a number, `asked` (the force in newtons, the speed in rpm without its sign, the time, each turned into
+    The value is a number, `asked` (the force in newtons, the speed in rpm without its sign, or the time, converted to
     the register's unit) or `count` (one more each time). In a request it is `{asked:.2f}` or `{count}`.
     """
 
     force: Texts = ()
-    """Of an actuator: the set point."""
+    """Actuator: write the set point."""
     engage: Texts = ()
-    """To extend, land and press with the set point; left out where the set point alone does it."""
+    """Actuator: extend, land and press with the set point. Left out: the set point alone does this."""
     retract: Texts = ()
-    """Force off, then lift: in that order, where these are two."""
+    """Actuator: force off, then lift, in this order."""
     rest: Texts = ()
-    """Once it is retracted."""
+    """Actuator: after it is retracted."""
     forward: Texts = ()
-    """Of a spindle: turn that fast, also when it turns already."""
+    """Spindle: turn at that speed, also when it turns already."""
     reverse: Texts = ()
-    """The other way; left out: it cannot."""
+    """Spindle: turn in the other direction. Left out: it cannot."""
     stop: Texts = ()
-    """Stop turning."""
+    """Spindle: stop."""
     clear: Texts = ()
-    """Take back a fault; done for those of `faults.clears` only, when the device is made safe."""
+    """Clear a fault. This is done only for faults of `faults.clears`, when the device is made safe."""
     watchdog: Texts = ()
-    """Tell the device how long it may hear nothing; left out: it is set at the device."""
+    """Write the watchdog time of the device. Left out: it is set at the device."""
     heartbeat: Texts = ()
-    """Feed that watchdog; left out: any request does."""
+    """Feed that watchdog. Left out: any request does."""
     tare: Texts = ()
-    """Of a force sensor: what it reads now is no force."""
+    """Force sensor: take the present reading as zero."""
 
 
 class Faults(ConfigSection):
-    """What the device says of its faults. Anything but 0 is one."""
+    """Faults of the device. Any value but 0 is a fault."""
 
     value: Text
     """Name of the value."""
     mask: Annotated[int, Field(ge=1, le=0xFFFFFFFF)] | None = None
-    """Only these bits of it count. [1]"""
+    """Only these bits of the value count. [1]"""
     bits: dict[str, Text] = Field(default_factory=dict)
-    """What each bit means, by its worth: `4 = "drive"`."""
+    """Meaning of each bit, by its value: `4 = "drive"`."""
     codes: dict[str, Text] = Field(default_factory=dict)
-    """Or what each number means."""
+    """Meaning of each number, instead of `bits`."""
     clears: Values = ()
-    """Those of the device's own watchdog: made safe, it is told `commands.clear`; all others are a person's. [1]"""
+    """Faults of the device's watchdog, which `commands.clear` clears when the device is made safe. The operator clears
+    all others. [1]"""
 
 
 class IdentityTable(ConfigSection):
-    """Who it is, where it does not say so itself in values `vendor`, `model`, `serial`, `firmware`, `boot`."""
+    """Identity of the device, for what it does not report in values `vendor`, `model`, `serial`, `firmware`, `boot`."""
 
     vendor: Text
-    """Who makes it."""
+    """Name of the manufacturer."""
     model: Text
-    """What it is."""
-    serial: Text = "not told"
-    """Its number."""
-    firmware: Text = "not told"
-    """Its firmware."""
+    """Name of the model."""
+    serial: Text = "unknown"
+    """Serial number."""
+    firmware: Text = "unknown"
+    """Firmware version."""
 
 
 class ActuatorTable(ConfigSection):
-    """A force actuator, and its times where the cell says no others."""
+    """A force actuator, and its default times, which the cell may override."""
 
     unpowered: Unpowered
-    """What the tool does when its power goes; with `presses` no part is safe, and the profile is refused."""
+    """Behavior of the tool at a power failure. A profile with `presses` is refused, because it damages the part."""
     max_force_n: Positive
-    """More is never asked."""
+    """Largest set point."""
     watchdog_s: Times = _ACTUATOR.watchdog_s
-    """So long without a word it takes the force off and lifts, by itself."""
+    """Time without a request after which the device takes the force off and lifts."""
     landing_s: Times = _ACTUATOR.landing_s
-    """Longest from engaging to contact."""
+    """Longest time from engaging to contact."""
     release_s: Times = _ACTUATOR.release_s
-    """Longest from the order to force off."""
+    """Longest time from the command to force off."""
     retract_s: Times = _ACTUATOR.retract_s
-    """Longest from force off until it tells that the tool is up."""
+    """Longest time from force off until the device reports that the tool is up."""
     stroke_mm: Positive = _ACTUATOR.stroke_mm
-    """How far the tool can follow the part."""
+    """Stroke over which the tool can follow the part."""
 
     @field_validator("unpowered")
     @classmethod
     def _lets_go(cls, unpowered: str) -> str:
         if unpowered == "presses":
             raise ValueError(
-                "a tool that presses without power digs into the part at each power cut; add a spring, a weight or a "
-                'valve that lifts it, and write "lifts"'
+                "a tool that presses without power makes a pit at each power failure; add a spring, weight or valve "
+                'that lifts it, and write "lifts"'
             )
         return unpowered
 
 
 class SpindleTable(ConfigSection):
-    """A spindle, and its times where the cell says no others."""
+    """A spindle, and its default times, which the cell may override."""
 
     max_rpm: Positive
-    """Faster is never asked."""
+    """Highest speed."""
     watchdog_s: Times = _SPINDLE.watchdog_s
-    """So long without a word it stops by itself."""
+    """Time without a request after which the device stops."""
     spin_s: Times = _SPINDLE.spin_s
-    """Longest from standstill to any speed, or back."""
+    """Longest time from standstill to any speed, or back."""
 
 
 class ForceSensorTable(ConfigSection):
     """A force sensor."""
 
     range_n: Range
-    """What it can measure; pressing is positive."""
+    """Measuring range; pressing is positive."""
     delay_s: Annotated[float, Field(ge=0.0, le=5.0)] = _SENSOR.delay_s
-    """Longest from a force that acts to its reading: filter, conversion and link."""
+    """Longest time from a force to its reading: filter, conversion and link."""
     tare_s: Times = _SENSOR.tare_s
-    """Longest from `commands.tare` until what it read then is 0, ..."""
+    """Longest time from `commands.tare` until the reading is within `zero_n` of 0."""
     zero_n: Positive = 0.1
-    """... or not more than this. Not used where a state `taring` says when the tare ends."""
+    """Largest reading after a tare. Not used if a state `taring` shows the end of the tare."""
     period_s: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
     """Time between two readings."""
 
@@ -355,20 +358,20 @@ TRIED = {
     "device": "tried on the device",
 }
 IDENTITY = ("vendor", "model", "serial", "firmware", "boot")
-"""Values by which the device says who it is."""
+"""Values with the identity of the device."""
 
 
 class DeviceProfile(TomlDocument):
-    """One kind of device on one kind of link: one of each has its table."""
+    """One kind of device on one kind of link, with the table of each."""
 
     title: Text
-    """What it is, for people."""
+    """Title for people."""
     manual: Text
-    """Where all of this stands: the manual, its edition, its pages."""
+    """Source of the profile: the manual, its edition, its pages."""
     tried: Literal["manual", "simulator", "device"]
-    """Whether somebody has seen it work: not at all (`manual`), on a simulated device, or on the device itself."""
+    """Tests so far: none (`manual`), with a simulated device (`simulator`), or with the device (`device`)."""
     settings: Texts = ()
-    """What must be set at the device itself, for people."""
+    """Required settings at the device, for people."""
     actuator: ActuatorTable | None = None
     spindle: SpindleTable | None = None
     force_sensor: ForceSensorTable | None = None
@@ -386,55 +389,55 @@ class DeviceProfile(TomlDocument):
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of its file without the ending."""
         return self._path.stem
 
     @property
     def kind(self) -> Kind:
-        """Which device it is."""
+        """Kind of the device."""
         return "actuator" if self.actuator else "spindle" if self.spindle else "force_sensor"
 
     @property
     def link(self) -> Literal["modbus", "lines"]:
-        """What it speaks."""
+        """Protocol of the device."""
         return "modbus" if self.modbus else "lines"
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:
-        """What each value is worth, by name. Groups of answers without a table of their own are plain numbers."""
+        """Quantity of each value, by name. Groups of answers without a table are plain numbers."""
         if self.modbus:
             return self.registers
         return {name: self.values.get(name, RegexGroup()) for ask in self.asks.values() for name in ask.groups}
 
     @property
     def polled(self) -> tuple[str, ...]:
-        """Values that tell how the device is, and what they lean on."""
-        said = {
+        """Values of the device's state and readings, with their sign values."""
+        known = {
             "actuator": ("force", "set_point", "position"),
             "spindle": ("speed",),
             "force_sensor": ("force", "count"),
         }
-        named = [name for name in (*said[self.kind], "beat_echo") if name in self.quantities]
+        named = [name for name in (*known[self.kind], "beat_echo") if name in self.quantities]
         named += [rule.when for rule in self.states] + ([self.faults.value] if self.faults else [])
         return self.with_signs(named)
 
     @property
-    def identity_values(self) -> tuple[str, ...]:
-        """Values by which the device says who it is."""
+    def identifying(self) -> tuple[str, ...]:
+        """Values that identify the device, with their sign values."""
         named = [name for name in IDENTITY if name in self.quantities]
         return self.with_signs([*named, *(one.when for one in self.expects)])
 
     def with_signs(self, names: Sequence[str]) -> tuple[str, ...]:
-        """The values, each once, and those that say which of them are less than nothing."""
+        """Return the values, each once, and the values that hold their signs."""
         signs = [found.when for name in names if (found := self.quantities[name].negative)]
         return tuple(dict.fromkeys([*names, *signs]))
 
 
-# The steps of an order: ``"command = 1"`` on Modbus, the request itself on lines.
+# The steps of a command: ``"command = 1"`` on Modbus, the request on lines.
 
 _WRITE = re.compile(r"\s*([A-Za-z]\w*)\s*=\s*(asked|count|[-+]?\d+(?:\.\d+)?|0[xX][0-9A-Fa-f]+)\s*")
 SLOTS = {"asked": 1.5, "count": 1}
-"""What a request may have in braces, with a value to try its format with."""
+"""Names that a request may have in braces, each with a value to try its format."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -446,10 +449,10 @@ class Write:
 
 
 def write_of(step: str) -> Write:
-    """A step on Modbus. ValueError says what is wrong with it."""
+    """Parse a step on Modbus; raise ValueError with the problem."""
     match = _WRITE.fullmatch(step)
     if match is None:
-        raise ValueError(f'{step!r} is no write; write "register = 1", "register = asked" or "register = count"')
+        raise ValueError(f'{step!r} is not a step; write "register = 1", "register = asked" or "register = count"')
     name, text = match.groups()
     if text in {"asked", "count"}:
         return Write(name, text)  # type: ignore[arg-type]
@@ -457,11 +460,11 @@ def write_of(step: str) -> Write:
 
 
 def slots_of(step: str) -> set[str]:
-    """What stands in braces in a step on lines. ValueError says what is wrong with it."""
+    """Return the names in braces of a step on lines; raise ValueError with the problem."""
     try:
         found = {name for _, name, _, _ in Formatter().parse(step) if name is not None}
         if unknown := found - set(SLOTS):
-            raise ValueError(f"{{{min(unknown)}}} is none of {{asked}}, {{count}}")
+            raise ValueError(f"{{{min(unknown)}}} is unknown; use {{asked}} or {{count}}")
         step.format(**SLOTS).encode("ascii")
     except (ValueError, IndexError, KeyError, AttributeError) as error:
         raise ValueError(f"{step!r} cannot be sent: {error}") from error

@@ -1,4 +1,4 @@
-"""What the tables of a device profile must say together: each fault with the key that it stands at."""
+"""Consistency checks of a device profile; each fault names its key."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEEDS = {
     "spindle": (("speed",), ("forward", "stop"), ("stopped", "running")),
     "force_sensor": (("force",), ("tare",), ()),
 }
-"""By kind: values, orders and states without which it cannot be used."""
+"""Required values, commands and states, by kind."""
 ORDERS = {
     "actuator": {"force", "engage", "retract", "rest", "clear", "watchdog", "heartbeat"},
     "spindle": {"forward", "reverse", "stop", "clear", "watchdog", "heartbeat"},
@@ -31,13 +31,13 @@ STATES = {
     "force_sensor": {"fault", "taring"},
 }
 MEASURES = {"force": "force", "position": "length", "speed": "speed"}
-"""What the values that polishd knows by name must measure."""
+"""Quantity of each value that polishd knows by name."""
 ASKED = {"force": "force", "engage": "force", "forward": "speed", "reverse": "speed", "watchdog": "time"}
-"""What ``asked`` is in each order."""
+"""Quantity of ``asked`` in each command."""
 
 
 def faults_of(profile: DeviceProfile) -> list[Fault]:
-    """Key and problem of each, in the order in which they are best mended."""
+    """Return key and problem of each fault, in the best order to correct them."""
     shape = list(_shape(profile))
     return shape or [
         *_needs(profile),
@@ -54,13 +54,14 @@ def _shape(profile: DeviceProfile) -> Iterator[Fault]:
         given = [name for name in names if getattr(profile, name) is not None]
         if len(given) != 1:
             has = f"has {' and '.join(f'[{name}]' for name in given)}" if given else "has none of them"
-            yield (given[-1] if given else names[0],), f"a profile has one of {_tables(names)}; this one {has}"
+            tables = ", ".join(f"[{name}]" for name in names)
+            yield (given[-1] if given else names[0],), f"a profile has one of {tables}; this one {has}"
     for name in ("asks", "values") if profile.modbus else ("registers",):
         if getattr(profile, name):
-            yield (name,), f"goes with [{'lines' if profile.modbus else 'modbus'}] only; remove it"
+            yield (name,), f"needs [{'lines' if profile.modbus else 'modbus'}]; remove it"
     own = "registers" if profile.modbus else "asks"
     if not getattr(profile, own):
-        yield (own,), f"is missing; add [{own}.NAME] for each value that the device gives"
+        yield (own,), f"is missing; add [{own}.NAME] for each value of the device"
 
 
 def _needs(profile: DeviceProfile) -> Iterator[Fault]:
@@ -69,24 +70,25 @@ def _needs(profile: DeviceProfile) -> Iterator[Fault]:
         if name not in profile.quantities:
             what = f"[registers.{name}]" if profile.modbus else f"an answer with a group (?P<{name}>...)"
             where = "registers" if profile.modbus else "asks"
-            yield (where,), f"no value is called {name!r}, and every {_said(profile)} has one; add {what}"
+            yield (where,), f"every {_kind(profile)} needs a value {name!r}; add {what}"
     for name in orders:
         if not getattr(profile.commands, name):
-            yield ("commands", name), f"is missing, and every {_said(profile)} needs it; add it: {name} = [...]"
+            yield ("commands", name), f"is missing, and every {_kind(profile)} needs it; add it: {name} = [...]"
     for state in states:
         if state not in {rule.state for rule in profile.states}:
-            yield ("states",), f'nothing says when it is "{state}"; add [[states]] with state = "{state}"'
+            yield ("states",), f'there is no rule for "{state}"; add [[states]] with state = "{state}"'
 
 
 def _foreign(profile: DeviceProfile) -> Iterator[Fault]:
-    """Orders and states of another kind of device."""
+    """Yield commands and states of another kind of device."""
     orders, states = ORDERS[profile.kind], STATES[profile.kind]
     for name in type(profile.commands).model_fields:
         if getattr(profile.commands, name) and name not in orders:
-            yield ("commands", name), f"no {_said(profile)} is told that; known: {join_words(orders)}"
+            yield ("commands", name), f"is not a command of this {_kind(profile)}; known: {join_words(orders)}"
     for at, rule in enumerate(profile.states):
         if rule.state not in states:
-            yield ("states", at, "state"), f'no {_said(profile)} is "{rule.state}"; known: {join_words(states)}'
+            problem = f'"{rule.state}" is not a state of this {_kind(profile)}; known: {join_words(states)}'
+            yield ("states", at, "state"), problem
 
 
 def _units(profile: DeviceProfile) -> Iterator[Fault]:
@@ -95,7 +97,7 @@ def _units(profile: DeviceProfile) -> Iterator[Fault]:
     for name, quantity in profile.quantities.items():
         if name in meant and quantity.unit not in KINDS[meant[name]]:
             fitting = join_words(KINDS[meant[name]])
-            yield (table, name, "unit"), f"{quantity.unit!r} is no unit of {meant[name]}; use one of {fitting}"
+            yield (table, name, "unit"), f"{quantity.unit!r} is not a unit of {meant[name]}; use one of {fitting}"
 
 
 def _sizes(profile: DeviceProfile) -> Iterator[Fault]:
@@ -104,10 +106,10 @@ def _sizes(profile: DeviceProfile) -> Iterator[Fault]:
             most = profile.modbus.max_registers
             yield (
                 ("registers", name),
-                f"fills {register.size} registers, and modbus.max_registers is {most}; mend one of the two",
+                f"has {register.size} registers, and modbus.max_registers is {most}; correct one of the two",
             )
         if register.address + register.size > 0x10000:
-            yield ("registers", name, "address"), f"{register.size} registers from there end beyond 65535; mend it"
+            yield ("registers", name, "address"), f"{register.size} registers from there end beyond 65535; correct it"
 
 
 def _orders(profile: DeviceProfile) -> Iterator[Fault]:
@@ -123,7 +125,7 @@ def _step(profile: DeviceProfile, order: str, step: str) -> Iterator[Fault]:
     key = ("commands", order)
     if not profile.modbus:
         if "asked" in slots_of(step) and order not in ASKED:
-            yield key, "nothing is asked with this order; leave {asked} out"
+            yield key, "this command has no value; remove {asked}"
         return
     write = write_of(step)
     register = profile.registers.get(write.register)
@@ -134,13 +136,16 @@ def _step(profile: DeviceProfile, order: str, step: str) -> Iterator[Fault]:
         yield key, f"{write.register!r} cannot be written: it is a {register.table} register of type {register.type}"
     elif isinstance(write.value, float):
         if not LEAST[register.type] <= write.value <= MOST[register.type]:
-            yield key, f"{write.value:g} does not fit {write.register!r}, which is {register.type}; mend one of the two"
+            yield (
+                key,
+                f"{write.value:g} does not fit {write.register!r} of type {register.type}; correct one of the two",
+            )
     elif write.value == "asked":
         if order not in ASKED:
-            yield key, "nothing is asked with this order; write a number"
+            yield key, "this command has no value; write a number"
         elif register.unit not in KINDS[ASKED[order]]:
             fitting = join_words(KINDS[ASKED[order]])
-            problem = f"orders.{order} writes a {ASKED[order]} there, and {register.unit!r} is no unit of it"
+            problem = f"commands.{order} writes a {ASKED[order]} there, and {register.unit!r} is not a unit of it"
             yield ("registers", write.register, "unit"), f"{problem}; use one of {fitting}"
 
 
@@ -156,29 +161,25 @@ def _names(profile: DeviceProfile) -> Iterator[Fault]:
             yield key, f"there is no value {name!r}{did_you_mean(name, known)} Known: {join_words(known)}"
     for name in profile.values:
         if name not in known:
-            yield ("values", name), f"no answer has a group {name!r}; name it in [asks.NAME] answer, or remove this"
+            yield ("values", name), f"no answer has a group {name!r}; add it to an answer of [asks], or remove this"
     if profile.faults:
-        yield from _fault_words(profile, profile.faults)
+        yield from _fault_numbers(profile, profile.faults)
 
 
-def _fault_words(profile: DeviceProfile, faults: Faults) -> Iterator[Fault]:
+def _fault_numbers(profile: DeviceProfile, faults: Faults) -> Iterator[Fault]:
     for table in ("bits", "codes"):
         for number in getattr(faults, table):
             if not number.isdecimal():
-                yield ("faults", table, number), f"{number!r} is no number; write the worth of the bit, or the code"
+                yield ("faults", table, number), f"{number!r} is not a number; write the value of the bit, or the code"
     if faults.clears and not profile.commands.clear and not profile.actuator:
-        yield ("faults", "clears"), "nothing says how a fault is taken back; add it: commands.clear = [...]"
+        yield ("faults", "clears"), "needs the command that clears a fault; add it: commands.clear = [...]"
 
 
-def _said(profile: DeviceProfile) -> str:
+def _kind(profile: DeviceProfile) -> str:
     return profile.kind.replace("_", " ")
 
 
-def _tables(names: tuple[str, ...]) -> str:
-    return ", ".join(f"[{name}]" for name in names)
-
-
-# A device profile's file: read, and judged by what its tables must say together.
+# Read and check a device profile's file.
 
 
 def load_device_profile(path: Path) -> DeviceProfile:
@@ -187,25 +188,25 @@ def load_device_profile(path: Path) -> DeviceProfile:
 
 
 def device_profile_of(text: str, path: Path) -> DeviceProfile:
-    """The same of a text that stood in that file."""
+    """Read the text of a profile's file, as ``load_device_profile``."""
     profile = DeviceProfile.of(*loads_toml(text, path))
     if found := faults_of(profile):
         raise ConfigError("\n".join(profile.source.error(key, problem) for key, problem in found))
     return profile
 
 
-# Shipped profiles, by name, and those of the user, by file.
+# Profiles: polishd's by name, the user's by file.
 
 DEVICE_PROFILE_DIR = Path(__file__).with_name("device_profiles")
 
 
 def shipped() -> list[str]:
-    """Names, in order."""
+    """Names of polishd's profiles, sorted."""
     return sorted(path.stem for path in DEVICE_PROFILE_DIR.glob("*.toml"))
 
 
 def profile_of(name: str, base_dir: Path) -> DeviceProfile:
-    """The profile of a name, or in a file (``.toml``) in ``base_dir``; ConfigError says what is wrong, and where."""
+    """Read the profile of that name, or a ``.toml`` file relative to ``base_dir``; ConfigError names file and key."""
     if name.endswith(".toml"):
         return load_device_profile(base_dir / Path(name).expanduser())
     known = shipped()

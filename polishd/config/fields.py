@@ -1,4 +1,4 @@
-"""What the values of all files are: types with their ranges, and the section, which is a table of them."""
+"""Types of config values with their ranges, and the base class of all sections."""
 
 from __future__ import annotations
 
@@ -24,34 +24,34 @@ from polishd.model.process import FLAT
 
 
 def as_tuple(value: Any) -> Any:
-    """TOML has lists, frozen models have tuples."""
+    """Turn a list, as TOML has it, into a tuple, as frozen models need it."""
     return tuple(value) if isinstance(value, list) else value
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    """A range whose low end is below its high end."""
+    """Check that the low end of a range is below its high end."""
     low, high = value
     if not math.isfinite(high - low) or low >= high:
-        raise ValueError(f"[{low}, {high}] is no range; give [low, high] with low < high")
+        raise ValueError(f"[{low}, {high}] is not a range; give [low, high] with low < high")
     return value
 
 
 LARGEST, SMALLEST = 1e15, 1e-12
-"""Of any number in a file, and of one that must be positive: beyond that products overflow, or vanish."""
+"""Largest number in a file, and smallest positive one: beyond them products overflow or underflow."""
 
 
 def _not_tiny(value: float) -> float:
-    """A positive number that can be divided by."""
+    """Check that a positive number is large enough to divide by."""
     if 0 < value < SMALLEST:
         raise ValueError(f"{value:g} is too small; give at least {SMALLEST:g}")
     return value
 
 
 def _require_usable(value: Any) -> None:
-    """ValueError where a number, in whatever lists and tables, is too large to be counted with."""
+    """Raise ValueError if a number, also in lists and tables, is too large to compute with."""
     if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) > LARGEST:
-        said = f"{value:g}" if isinstance(value, float) else f"a whole number of {value.bit_length()} bits"
-        raise ValueError(f"{said} is too large; give at most {LARGEST:g}")
+        shown = f"{value:g}" if isinstance(value, float) else f"a whole number of {value.bit_length()} bits"
+        raise ValueError(f"{shown} is too large; give at most {LARGEST:g}")
     if isinstance(value, (tuple, list)):
         for item in value:
             _require_usable(item)
@@ -65,13 +65,13 @@ MOST_CELLS = 16_000_000
 
 
 def require_cells(wide_mm: float, high_mm: float, pitch_mm: float, key: str) -> None:
-    """ValueError where a grid of that pitch has more cells than a computer can work with."""
+    """Raise ValueError if a grid of that pitch has too many cells to compute."""
     cells = (wide_mm / pitch_mm + 1) * (high_mm / pitch_mm + 1)
     if cells > MOST_CELLS:
         least_mm = math.sqrt(wide_mm * high_mm / MOST_CELLS)
         raise ValueError(
-            f"{key}: {pitch_mm:g} mm makes a grid of {cells:.2g} cells over {wide_mm:g} mm x {high_mm:g} mm, at most "
-            f"{MOST_CELLS:.2g} can be computed; give at least {least_mm:.2g} mm"
+            f"{key}: {pitch_mm:g} mm makes a grid of {cells:.2g} cells over {wide_mm:g} mm x {high_mm:g} mm; at most "
+            f"{MOST_CELLS:.2g} can be computed. Set at least {least_mm:.2g} mm"
         )
 
 
@@ -87,7 +87,7 @@ Seconds = Annotated[float, Field(gt=0, le=3600), AfterValidator(_not_tiny)]
 Force = Annotated[float, Field(ge=0.01, le=500)]
 Speed = Annotated[float, Field(gt=0, le=20000), AfterValidator(_not_tiny)]
 Size = Annotated[float, Field(ge=0.1, le=5000)]
-"""Of a part, or of what is as large, mm."""
+"""Size of a part or artefact, mm."""
 Dip = Annotated[float, Field(ge=0, lt=90)]
 Pair = Annotated[tuple[float, float], BeforeValidator(as_tuple)]
 Vector = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
@@ -101,7 +101,7 @@ Range = Annotated[
 
 
 class ConfigSection(BaseModel):
-    """What all sections share: unknown keys, wrong types, NaN and infinity are errors; values never change."""
+    """Base of all sections: frozen; unknown keys, wrong types, NaN and infinity are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -113,55 +113,55 @@ class ConfigSection(BaseModel):
 
 
 class BumpSection(ConfigSection):
-    """A Gaussian bump of an artefact; a hollow where its height is negative."""
+    """A Gaussian bump of an artefact; a hollow if its height is negative."""
 
     x_mm: float
-    """Its centre, right of the artefact's."""
+    """Its center, to the right of the artefact's center."""
     y_mm: float
-    """Its centre, above the artefact's."""
+    """Its center, above the artefact's center."""
     sigma_x_mm: Positive
-    """Standard deviation along its own x: at this distance 61 % of the height are left."""
+    """Standard deviation along its x axis: the distance at which 61 % of the height are left."""
     sigma_y_mm: Positive
-    """Standard deviation along its own y."""
+    """Standard deviation along its y axis."""
     height_nm: float
     """Its height over the flat."""
 
 
-# Keys that say a part's outline: the same of a cell's part and of a simulated one.
+# Keys of a part's outline, for a cell's part and for a simulated one.
 
 OUTLINES = ("aperture_mm", "rectangle_mm", "hexagon_mm", "polygon_mm", "polygon_file")
-"""Each says the outline: what has one has no other."""
+"""Keys that define the outline: a part has exactly one."""
 Corners = tuple[tuple[float, float], ...]
 Coordinate = Annotated[float, Field(ge=-5000, le=5000)]
 Corner = Annotated[tuple[Coordinate, Coordinate], BeforeValidator(as_tuple)]
 
 
 class OutlineKeys(ConfigSection):
-    """The outline of a part about its centre."""
+    """The outline of a part about its center."""
 
     aperture_mm: Size | None = None
     """Diameter of a round part."""
     hole_mm: Size | None = None
-    """Diameter of a round hole in the middle of a round part; what lies in it is no part."""
+    """Diameter of a round hole in the middle of a round part."""
     rectangle_mm: Annotated[tuple[Size, Size], BeforeValidator(as_tuple)] | None = None
-    """Instead of `aperture_mm`: sides of a rectangular part, along its x and y."""
+    """Instead of `aperture_mm`: sides of a rectangular part along its x and y."""
     hexagon_mm: Size | None = None
-    """Instead: width across flats of a regular hexagon; two of its corners lie on the part's x."""
+    """Instead of `aperture_mm`: width across flats of a regular hexagon with two corners on the part's x axis."""
     polygon_mm: Annotated[tuple[Corner, ...], BeforeValidator(as_tuple), Field(max_length=10_000)] | None = None
-    """Instead: corners (x, y) of any other, in order around it."""
+    """Instead of `aperture_mm`: corners (x, y) of a polygon, in order around it."""
 
     @model_validator(mode="after")
     def _has_one_outline(self) -> Self:
         first, *more = self._given or [""]
         if more:
-            raise ValueError(f"{more[0]}: {first} says the part's outline already; keep one of both")
+            raise ValueError(f"{more[0]}: {first} defines the part's outline already; keep one of both")
         if not first and self.aperture_mm is None:
             raise ValueError(
-                "aperture_mm: is missing; add it: aperture_mm = ...; of a part that is not round instead one of "
+                "aperture_mm: is missing; add it: aperture_mm = ..., or, if the part is not round, one of "
                 f"{', '.join(OUTLINES[1:])}"
             )
         if self.hole_mm is not None and self.outline_key != "aperture_mm":
-            raise ValueError(f"hole_mm: goes with aperture_mm, not with {first}; leave it out")
+            raise ValueError(f"hole_mm: needs aperture_mm, not {first}; remove it")
         try:
             if first != "polygon_file":
                 _ = self.outline
@@ -171,7 +171,7 @@ class OutlineKeys(ConfigSection):
 
     @property
     def outline_key(self) -> str:
-        """The key that says the outline."""
+        """The key that defines the outline."""
         return (self._given or [OUTLINES[0]])[0]
 
     @property
@@ -180,7 +180,7 @@ class OutlineKeys(ConfigSection):
 
     @property
     def outline(self) -> Outline:
-        """What these keys say; ComputeError where they name a file, which has to be read."""
+        """The outline by these keys. ComputeError if they name a file, which must be read first."""
         return _made(self.outline_key, getattr(self, self.outline_key), (self.hole_mm or 0.0) / 2)
 
 
@@ -188,17 +188,17 @@ class OpticKeys(OutlineKeys):
     """Outline and surface of a part."""
 
     curvature_radius_mm: float | None = FLAT.radius_mm
-    """Vertex radius of the optic, positive where it is concave; left out: flat."""
+    """Vertex radius of the optic, positive if it is concave. Left out: flat."""
     conic: float = FLAT.conic
     """Conic constant: 0 a sphere, -1 a paraboloid. [1]"""
     even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
     """Even aspheric terms A4, A6, ..., positive up. [mm^-3, mm^-5, ...]"""
     off_axis_mm: Pair = FLAT.offset_mm
-    """Where the part's centre lies from the vertex, in the parent's x and y."""
+    """Position of the part's center from the vertex, in the parent's x and y."""
 
 
 def as_keys(outline: Outline) -> Mapping[str, Any]:
-    """The keys that say this outline without a file."""
+    """Return the keys that define this outline without a file."""
     if not isinstance(outline, Circle):
         return {"polygon_mm": outline.corners_mm}
     hole = {"hole_mm": 2 * outline.hole_mm} if outline.hole_mm else {}
@@ -216,4 +216,4 @@ def _made(key: str, value: Any, hole_mm: float) -> Outline:
             return hexagon(value)
         case "polygon_mm":
             return polygon(value)
-    raise ComputeError(f"{key} = {value!r} has to be read first")
+    raise ComputeError(f"{key} = {value!r} must be read first")

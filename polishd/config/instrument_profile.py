@@ -1,4 +1,4 @@
-"""Instruments' profiles: TOML to an ``Instrument``, and the record of the proof back into the file."""
+"""Instrument profiles: read the TOML file as an ``Instrument``, and write the commissioning record into it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from polishd.model.instrument import CommissioningRecord, Instrument, RegisterBy
 from polishd.process.metrology.commissioning import ArtefactBump
 from polishd.util.files import write_atomic
 
-# The tables of an instrument's profile: one frozen model each. What they mean: docs/instruments.md.
+# The tables of an instrument's profile: one frozen model each. docs/instruments.md describes them.
 
 _PLAIN = Instrument("")
 Places = Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)]
@@ -40,149 +40,149 @@ MIN_FIDUCIALS = 3
 
 
 class OrientationTable(ConfigSection):
-    """How the instrument's arrays lie on the part: flipped left-right first, then turned counter-clockwise."""
+    """Orientation of the instrument's arrays on the part: mirrored left-right first, then rotated counter-clockwise."""
 
     mirror: bool = _PLAIN.mirror
-    """Whether arrays are flipped left-right, ..."""
+    """Mirror arrays left-right before the rotation."""
     rotation_deg: Literal[0, 90, 180, 270] = _PLAIN.rotation_deg
-    """... then turned counter-clockwise: the part as the tool sees it, x right, y up."""
+    """Rotation of arrays counter-clockwise, to the part as the tool sees it: x right, y up."""
 
 
 class HeightTable(ConfigSection):
-    """What the numbers mean."""
+    """Meaning of the heights."""
 
     sign: Literal[1, -1] = _PLAIN.sign
-    """Multiplies every height; -1 where high is negative. [1]"""
+    """Factor of every height; -1 if high is negative. [1]"""
     factor: Positive = _PLAIN.factor
-    """Multiplies every height; 0.5 where files give wavefronts in reflection as they are. [1]"""
+    """Factor of every height; 0.5 if files give wavefronts in reflection. [1]"""
     unit_nm: Positive | None = _PLAIN.unit_nm
-    """Nanometres per unit, for files that name no unit."""
+    """Nanometers per unit, for files without a unit."""
 
 
 class LateralTable(ConfigSection):
-    """The pitch of files that give none, and how far one that a file gives may be from it."""
+    """Pitch of files without one, and its tolerance."""
 
     pitch_mm: Positive | None = _PLAIN.pitch_mm
-    """Pitch of files that give none; one that a file gives must agree."""
+    """Pitch of files without one. The pitch of a file must agree with it."""
     pitch_tolerance: Share = _PLAIN.pitch_tolerance
-    """How far one that a file gives may be off, relative. [1]"""
+    """Largest relative deviation of a file's pitch. [1]"""
 
 
 class ApertureTable(ConfigSection):
-    """The outline that maps of the part show; without a diameter: the part's own aperture."""
+    """The outline that maps of the part show."""
 
     diameter_mm: Positive | None = _PLAIN.aperture_mm
-    """Diameter of the outline that maps of the part show; left out: the part's own aperture."""
+    """Diameter of the outline that maps of the part show. Left out: the part's aperture."""
     tolerance_mm: Positive = _PLAIN.aperture_tolerance_mm
-    """How far the outline may be off that."""
+    """Largest deviation of the outline from it."""
 
 
 class FiducialsTable(ConfigSection):
     """Marks on the part."""
 
     positions_mm: Places = _PLAIN.fiducials_mm
-    """(x, y) on the part of three or more marks in no symmetric arrangement."""
+    """Positions (x, y) on the part of three or more marks in an asymmetric arrangement."""
     tolerance_mm: Positive = _PLAIN.fiducial_tolerance_mm
-    """How far a mark may be off its place after the fit."""
+    """Largest deviation of a mark from its position after the fit."""
 
 
 class RegistrationTable(ConfigSection):
-    """By what each map is laid on the part, and how far off it may have lain."""
+    """Registration of each map on the part, and its limits."""
 
     by: RegisterBy = _PLAIN.register_by
-    """What tells where the part lies: nothing (the array's centre is the part's), its outline, its marks, or both,
-    which must agree."""
+    """Reference of the part's position: none (the array's center is the part's), its outline, its marks, or both, which
+    must agree."""
     max_shift_mm: Positive = _PLAIN.max_shift_mm
-    """Most that the part may lie off the array's centre; a map with more is refused."""
+    """Largest distance of the part from the array's center. A map with a larger one is refused."""
     max_turn_deg: Annotated[float, Field(gt=0, le=45)] = _PLAIN.max_turn_deg
-    """Most that it may be turned."""
+    """Largest rotation of the part."""
     max_drift_mm: Positive = _PLAIN.max_drift_mm
-    """Most shift against the last map of the same part."""
+    """Largest shift from the last map of the same part."""
 
 
 class RepeatabilityTable(ConfigSection):
-    """How well the instrument repeats itself: no part of the proof, but all figures are read beside it."""
+    """Repeatability of the instrument. It is not part of the commissioning; reports show it next to the figures."""
 
     rms_nm: Positive | None = _PLAIN.repeatability_nm
-    """RMS of what one map of a part has and the mean of many has not, levelled, in one set-up; left out: not known."""
+    """RMS difference between one map and the mean of many, leveled, in one set-up. Left out: unknown."""
 
 
 class UnseenTable(ConfigSection):
-    """How large the instrument's own error may be where nothing has told it: one standard deviation, nm RMS.
+    """Instrument error in terms that no test has measured: one standard deviation, nm RMS.
 
-    No part of the proof. A reference that was measured makes a number smaller: a sphere of known radius `power_nm`.
+    It is not part of the commissioning. A measured reference reduces a value: a sphere of known radius `power_nm`.
     """
 
     power_nm: NotNegative = _PLAIN.unseen.power_nm
-    """Power, which no turn and no shift of the part tells."""
+    """Power, which rotations and shifts of the part cannot show."""
     astigmatism_nm: NotNegative = _PLAIN.unseen.astigmatism_nm
     """Astigmatism, in each of its two directions."""
     coma_nm: NotNegative = _PLAIN.unseen.coma_nm
-    """Coma, likewise."""
+    """Coma, in each of its two directions."""
     spherical_nm: NotNegative = _PLAIN.unseen.spherical_nm
     """Spherical aberration."""
     other_nm: NotNegative = _PLAIN.unseen.other_nm
-    """Each other Zernike term: of radial order 4, of other orders n times (4 / n)^2."""
+    """Each other Zernike term of radial order 4; for other orders n it is multiplied by (4 / n)^2."""
     shorter_nm: NotNegative = _PLAIN.unseen.shorter_nm
-    """All waves shorter than the terms together, where there is no system map; with one its poses tell it."""
+    """All waves shorter than these terms together, if there is no system map. A system map's poses determine it."""
 
 
 class SystemTable(ConfigSection):
-    """What ``polishd calibrate instrument`` wrote: the instrument's own error, which is taken off each map."""
+    """Record of ``polishd calibrate instrument``: the instrument's error, which is subtracted from each map."""
 
     map: Text
     """File of the system map, from the profile's folder."""
     at: AwareDatetime
-    """When it was made."""
+    """Time of the calibration."""
     map_sha256: Sha256
-    """Of that file: another one is refused."""
+    """Digest of that file. Another file is refused."""
     profile_sha256: Sha256
-    """Of the profile's values by which its maps were read: once one is changed, the map is refused."""
+    """Digest of the profile's values with which its maps were read. The map is refused after a value has changed."""
 
 
 class BumpTable(BumpSection):
-    """A Gaussian bump of the artefact; a hollow where its height is negative."""
+    """A Gaussian bump of the artefact; a hollow if its height is negative."""
 
     angle_deg: Angle = 0.0
-    """How its own x is turned, counter-clockwise."""
+    """Rotation of its x axis, counter-clockwise."""
 
 
 class ArtefactTable(ConfigSection):
-    """The artefact that proves the profile."""
+    """The artefact that commissions the profile."""
 
     name: Text
     """The artefact's name, for the record."""
     bumps: Annotated[tuple[BumpTable, ...], BeforeValidator(as_tuple), Field(min_length=1)]
-    """Its bumps: no turn, flip or negation of them may look like the original."""
+    """Its bumps. They must differ clearly from each of their rotations, mirror images and negations."""
 
 
 class RecordTable(ConfigSection):
-    """What ``polishd map commission`` wrote."""
+    """Record of ``polishd map commission``."""
 
     at: AwareDatetime
-    """When it was proved."""
+    """Time of the commissioning."""
     artefact: Text
-    """Name of the artefact that proved it."""
+    """Name of the artefact."""
     map_sha256: Sha256
-    """Of the map that proved it."""
+    """Digest of the artefact's map."""
     correlation: Annotated[float, Field(ge=-1, le=1)]
-    """Of that map with the artefact. [1]"""
+    """Correlation of that map with the artefact. [1]"""
     next_best: Annotated[float, Field(ge=-1, le=1)]
-    """Of the best other turn, flip or negation. [1]"""
+    """Correlation with the best other rotation, mirror image or negation. [1]"""
     profile_sha256: Sha256
-    """Of the profile's values that were proved: once one is changed, the record is void."""
+    """Digest of the profile's commissioned values. The record is void after a value has changed."""
 
 
 class ProfileFile(TomlDocument):
-    """The whole file."""
+    """The file of an instrument's profile."""
 
     name: Text
     """The instrument's name."""
     serials: Texts = _PLAIN.serials
-    """Words of what `polishd map` shows as "instrument"; maps of any other are refused. Zygo's numbers
-    also by their last 16 bits, as `.dat` has them. Empty: any."""
+    """Serial numbers, as `polishd map` shows them under "instrument". Maps of other instruments are refused. The last
+    16 bits of a Zygo number fit, too, as in `.dat`. Empty: any instrument."""
     gives: Given = ()
-    """What this profile answers for files that do not say it: that heights are of the surface, and how arrays lie."""
+    """Facts that the profile adds for files without them: heights are of the surface, and the orientation of arrays."""
     orientation: OrientationTable = OrientationTable()
     height: HeightTable = HeightTable()
     lateral: LateralTable = LateralTable()
@@ -208,35 +208,35 @@ class ProfileFile(TomlDocument):
 
 RECORD, SYSTEM = "commissioned", "system"
 UNPROVED = {RECORD, SYSTEM, "repeatability", "unseen"}
-"""What no artefact proves: it may be written, and mended, without voiding the proof."""
+"""Tables that may change without voiding the commissioning record."""
 COMMENTS = {
-    RECORD: "written by polishd map commission; void once a value above is changed",
-    SYSTEM: "written by polishd calibrate instrument; void once the map, or a value that was commissioned, is changed",
+    RECORD: "written by polishd map commission; void after a value above has changed",
+    SYSTEM: "written by polishd calibrate instrument; void after the map or a commissioned value has changed",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class InstrumentProfile:
-    """A profile as its file gives it."""
+    """A profile as read from its file."""
 
     path: Path
     instrument: Instrument
-    """``commissioned`` only where the record is of the values that stand there now."""
+    """``commissioned`` is set only if the record fits the present values."""
     sha256: str
-    """Of the values, defaults included, without the record: layout and comments do not count."""
+    """Digest of the values with defaults, without the record. Layout and comments do not count."""
     artefact: str
-    """Name of the artefact that proves it; empty where the file describes none."""
+    """Name of the artefact; empty if the file has none."""
     bumps: tuple[ArtefactBump, ...]
-    """The artefact's."""
+    """Bumps of the artefact."""
     unproved: str
-    """Why no map of this instrument may drive polishing; empty where it may."""
+    """Reason why maps of this instrument cannot be used for polishing; empty if they can."""
     system: SystemErrorRecord | None
-    """The record of its system map; None where there is none."""
+    """Record of the system map, or None."""
     source: TomlSource
-    """The file's text: says where a key stands, for errors."""
+    """The file's text, used to locate errors."""
 
     def error(self, key: str, problem: str) -> ConfigError:
-        """A ConfigError about a dotted key of the profile, with its place."""
+        """Return a ConfigError about a dotted key of the profile, with its location."""
         return ConfigError(self.source.error(tuple(key.split(".")), problem))
 
 
@@ -244,7 +244,7 @@ def load_profile(path: Path) -> InstrumentProfile:
     """Read an instrument's profile.
 
     Raises:
-        ConfigError: it cannot be read, or one line per problem: ``FILE:LINE: table.key: what is wrong; what to do``.
+        ConfigError: the file cannot be read, or one line per problem: ``FILE:LINE: table.key: problem; what to do``.
     """
     raw, source = load_toml(path)
     given = ProfileFile.of(raw, source)
@@ -266,20 +266,20 @@ def load_profile(path: Path) -> InstrumentProfile:
 
 
 def write_commissioned(path: Path, record: CommissioningRecord) -> None:
-    """Put the proof into the profile's file; ConfigError as of ``_write``."""
+    """Write the commissioning record into the profile's file; raise ConfigError as ``_write``."""
     _write(path, RECORD, record)
 
 
 def write_system(path: Path, record: SystemErrorRecord) -> None:
-    """Put the record of the system map into the profile's file; ConfigError as of ``_write``."""
+    """Write the record of the system map into the profile's file; raise ConfigError as ``_write``."""
     _write(path, SYSTEM, record)
 
 
 def _write(path: Path, table: str, record: CommissioningRecord | SystemErrorRecord) -> None:
-    """Put a record into the profile's file, for an earlier one; all else stays as the user wrote it.
+    """Write a record into the profile's file, in place of an earlier one, and keep everything else.
 
     Raises:
-        ConfigError: the file cannot be written, or its layout does not let the record be put in; it is as it was.
+        ConfigError: the file cannot be written, or its layout does not allow it; the file is unchanged.
     """
     before, source = load_toml(path)
     document = tomlkit.parse(source.text)
@@ -290,21 +290,23 @@ def _write(path: Path, table: str, record: CommissioningRecord | SystemErrorReco
         document[table][key] = round(value, 6) if isinstance(value, float) else value
     text = tomlkit.dumps(document)
     if tomllib.loads(text) != {**before, table: document[table].unwrap()}:
-        raise ConfigError(f"{path}: the record cannot be put in without loss; remove [{table}] by hand, then again")
+        raise ConfigError(
+            f"{path}: the record cannot be written without changing other values; remove [{table}] and repeat"
+        )
     try:
         write_atomic(path, text.encode())
     except OSError as error:
         raise ConfigError(
-            f"{path}: the record cannot be written: {error.strerror}; the profile is as it was"
+            f"{path}: the record cannot be written: {error.strerror}. The profile is unchanged"
         ) from error
 
 
 def _unproved(path: Path, record: CommissioningRecord | None, sha256: str) -> str:
-    prove = f"measure the artefact, then: polishd map commission {path} MAP"
+    advice = f"measure the artefact, then run: polishd map commission {path} MAP"
     if record is None:
-        return f"{path}: the profile was never commissioned; {prove}"
+        return f"{path}: the profile was never commissioned; {advice}"
     if record.profile_sha256 != sha256:
-        return f"{path}: the profile was edited after it was commissioned ({record.at:%Y-%m-%d %H:%M}); {prove}"
+        return f"{path}: the profile was edited after it was commissioned ({record.at:%Y-%m-%d %H:%M}); {advice}"
     return ""
 
 

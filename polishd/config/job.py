@@ -1,7 +1,6 @@
-"""A job's file: part, program, tolerance and what else of the recipe is its own, laid over the cell's file.
+"""A job's file: part, program, tolerance and other recipe values, laid over the cell's file.
 
-What a job says replaces what the cell says; what it leaves out is the cell's. Who the cell is, and what it consists of,
-no job may change.
+A job's values replace those of the cell. A job cannot change the cell's identity and devices.
 """
 
 from __future__ import annotations
@@ -33,14 +32,14 @@ OF_THE_CELL = (
     "opcua",
     "web",
 )
-"""What a job cannot say."""
+"""Sections that a job cannot have."""
 OWN = (("job", "id"), ("part", "id"))
-"""What each job says for itself: its name, and the part that its maps must show."""
+"""Keys that each job must have: its name, and the part that its maps must show."""
 
 
 @dataclass(frozen=True, slots=True)
 class JobFile:
-    """A job's file as it was read; paths in it start from its own folder."""
+    """A job's file as read. Relative paths in it start from its folder."""
 
     path: Path
     """Absolute."""
@@ -48,11 +47,14 @@ class JobFile:
 
     @classmethod
     def read(cls, path: Path) -> JobFile:
-        """ConfigError where it cannot be read."""
+        """Read a job's file; raise ConfigError if that fails."""
         return cls(path.absolute(), toml_text(path))
 
     def laid_over(self, cell: CellConfig) -> CellConfig:
-        """The cell with this job; ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
+        """Return the cell with this job.
+
+        Raises ConfigError, one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
+        """
         fragment, source = self.fragment()
         for key, value in self.named(fragment):
             *tables, name = key.split(".")
@@ -60,35 +62,33 @@ class JobFile:
         raw = copy.deepcopy(dict(cell.raw))
         _drop_other_tolerance(raw, fragment)
         _drop_other_outline(raw, fragment)
-        if "tools" in fragment:  # all of them: a job with one tool has no other's turn
+        if "tools" in fragment:  # all of them: a job with one tool uses no other
             raw.pop("tools", None)
         overlay(raw, fragment)
         return consistent(CellConfig.of(raw, replace(cell.source, included=(*cell.source.included, source))))
 
     def fragment(self) -> tuple[dict[str, Any], TomlSource]:
-        """Its values, judged as far as that can be done without a cell, and where they stand; ConfigError."""
+        """Return the values, checked as far as possible without a cell, and their source; raise ConfigError."""
         fragment, source = loads_toml(self.text, self.path)
         wrong = [
-            source.error((name,), f"is the cell's, and no job's; a job has sections {join_words(_sections())}")
+            source.error((name,), f"belongs into the cell's file; a job has sections {join_words(_sections())}")
             for name in fragment
             if name in OF_THE_CELL
         ]
         wrong += [
-            source.error(key, f"is missing; add it: {key[-1]} = ... (each job says its own)")
-            for key in OWN
-            if _value(fragment, key) is None
+            source.error(key, f"is missing; add it: {key[-1]} = ...") for key in OWN if _value(fragment, key) is None
         ]
         if wrong:
             raise ConfigError("\n".join(wrong))
         return fragment, source
 
     def names(self) -> list[str]:
-        """The keys by which it names files itself."""
+        """Return the keys with which the job names files."""
         fragment, _ = loads_toml(self.text, self.path)
         return [key for key, _ in self.named(fragment)]
 
     def named(self, fragment: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-        """(dotted key, absolute path or paths) of files; what is no text is left to the section's own check."""
+        """Yield (dotted key, absolute path or paths) of files. Values of another type fail in the section's check."""
         tools = fragment.get("tools")
         for key in (*FILES, *tool_files(tools if isinstance(tools, dict) else {})):
             match _value(fragment, tuple(key.split("."))):
@@ -102,7 +102,7 @@ class JobFile:
 
 
 def _drop_other_tolerance(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
-    """A tolerance has a long form and a short one: the job's takes the place of the cell's, whichever that is."""
+    """Remove the cell's tolerance, in its long or short form, if the job has one."""
     if "tolerance" in fragment:
         for key in ("tolerance_nm", "tolerance_period_mm"):
             raw["job"].pop(key, None)
@@ -111,7 +111,7 @@ def _drop_other_tolerance(raw: dict[str, Any], fragment: Mapping[str, Any]) -> N
 
 
 def _drop_other_outline(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:
-    """So has the part's outline: of a job's part that has one the cell's says nothing."""
+    """Remove the cell's part outline if the job has one."""
     if any(_value(fragment, ("part", key)) is not None for key in OUTLINES):
         for key in (*OUTLINES, "hole_mm"):
             raw["part"].pop(key, None)

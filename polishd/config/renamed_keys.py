@@ -76,5 +76,5 @@ TYPE_ADVICE = {
 
 
 def renamed_key(dotted: str) -> str | None:
-    """Return the new name of a dotted key that has been renamed, or None. It has its table where that changes, too."""
+    """Return the new name of a renamed dotted key, or None. The new name includes the table if that changes, too."""
     return next((new for old, new in RENAMED_KEYS.items() if fnmatchcase(dotted, old)), None)

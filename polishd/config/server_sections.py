@@ -1,4 +1,4 @@
-"""``[web]``: where the page and the HTTP API of a cell are served (docs/web.md)."""
+"""Sections of servers: the web page and HTTP API (docs/web.md), OPC UA, and the shop."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from polishd.config.process_sections import PartDocument
 from polishd.config.toml_loader import TomlDocument, load_toml
 from polishd.util.secret_files import SecretPlace
 
-# ``[opcua]``: how a cell presents itself to systems of the plant over OPC UA (docs/plant-systems.md).
+# ``[opcua]``: identification of a cell to plant systems over OPC UA (docs/plant-systems.md).
 
 
 class OpcUaSection(ConfigSection):
-    """What `polishd opcua` says of this machine, to clients on this computer. Left out: there is no such server."""
+    """Server `polishd opcua` for clients on this computer. Left out: there is no such server."""
 
     port: Annotated[int, Field(ge=0, le=65535)] = 4840
-    """Its port at 127.0.0.1; 0: any that is free, which it says at its start. [1]"""
+    """Port at 127.0.0.1. 0: any free port, which the server prints at its start. [1]"""
     manufacturer: Text
-    """Who built the machine."""
+    """Manufacturer of the machine."""
     serial_number: Text
-    """The machine's, by its manufacturer."""
+    """The machine's serial number, from its manufacturer."""
     product_instance_uri: Text
-    """The machine's, unlike that of any other in the world: `urn:` or `http://`, by its manufacturer."""
+    """The machine's globally unique identifier from its manufacturer: `urn:` or `http://`."""
     model: Text | None = None
     """The machine's model."""
     location: Text | None = None
-    """Where it stands."""
+    """The machine's location."""
 
 
 # ``[shop]`` of a cell's file: the shop that the cell belongs to (docs/shop.md).
@@ -40,62 +40,62 @@ LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 def _address(url: str) -> str:
-    """A token never goes in the clear beyond this computer."""
+    """Check a shop's address: a token is sent unencrypted only on this computer."""
     try:
         parts = urlsplit(url)
         whole = parts.scheme in {"http", "https"} and parts.hostname and parts.port != 0
     except ValueError:
-        raise ValueError(f"{url!r} is no URL; write it as https://shop.example:8760") from None
+        raise ValueError(f"{url!r} is not a URL; write it as https://shop.example:8760") from None
     if not whole or parts.username or parts.path.strip("/") or parts.query or parts.fragment:
-        raise ValueError(f"{url!r} is no address of a shop; write it as https://shop.example:8760")
+        raise ValueError(f"{url!r} is not the address of a shop; write it as https://shop.example:8760")
     if parts.scheme == "http" and parts.hostname not in LOOPBACK:
-        raise ValueError("beyond this computer only by TLS; write it with https://")
+        raise ValueError("another computer needs TLS; write it with https://")
     return url
 
 
 class ShopLinkSection(ConfigSection):
-    """The shop that this cell belongs to; `polishd shop connect` tells it what happens here, and asks it for parts."""
+    """The shop of this cell. `polishd shop connect` reports events to it, and requests parts from it."""
 
     url: Annotated[Text, AfterValidator(_address)]
     """Its address: `https://HOST:PORT`; `http://` on this computer only."""
     token: SecretPlace
-    """Where this cell's token is kept, `file:NAME` or `env:VARIABLE`: `polishd shop serve --add-cell` makes it. The
-    name for which it was made is this cell's at the shop."""
+    """Location of this cell's token, `file:NAME` or `env:VARIABLE`. `polishd shop serve --add-cell NAME` makes it; NAME
+    is this cell's name in the shop."""
     ca_file: Text | None = None
-    """Certificates to trust instead of the system's, PEM: of a shop of the house."""
+    """Trusted CA certificates instead of the system's, PEM, for a shop with a private CA."""
     max_assigned: Annotated[int, Field(ge=0, le=100)] = 1
-    """So many of the shop's parts are asked for until they wait in this cell's queue; 0: it asks for none. [1]"""
+    """Number of the shop's parts in this cell's queue, up to which it requests more. 0: it requests none. [1]"""
     every_s: Annotated[float, Field(ge=0.1, le=600)] = 2.0
-    """How often it is told, and asked."""
+    """Period of reports and requests."""
 
 
 class WebSection(ConfigSection):
-    """Where `polishd web` serves the cell's page and HTTP API. Left out: for this computer only."""
+    """Address of the cell's page and HTTP API, `polishd web`. Left out: for this computer only."""
 
     address: Text = "127.0.0.1"
-    """The address that it listens at. Beyond this computer only with `cert`, `key` and users."""
+    """Address of the server. An address for other computers needs `cert`, `key` and users."""
     port: Annotated[int, Field(ge=0, le=65535)] = 8750
-    """Its port; 0: any that is free, which it says at its start. [1]"""
+    """Port. 0: any free port, which the server prints at its start. [1]"""
     cert: Text | None = None
-    """File of its TLS certificate, with those between, PEM."""
+    """File of its TLS certificate with intermediate certificates, PEM."""
     key: Text | None = None
-    """File of that certificate's key, PEM; only its owner may read it."""
+    """File of that certificate's key, PEM. Only its owner may have read access."""
     hosts: Annotated[tuple[Text, ...], BeforeValidator(as_tuple)] = ()
-    """Names by which browsers may ask for it, beside `localhost` and `address`: any other is refused."""
+    """Host names accepted from browsers, in addition to `localhost` and `address`. Any other is refused."""
     users: Text | None = None
-    """File of its users, with hashes of their tokens; left out: `web-users.json` in `cell.state_dir`."""
+    """File of its users, with hashes of their tokens. Left out: `web-users.json` in `cell.state_dir`."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if (self.cert is None) != (self.key is None):
-            raise ValueError("cert: goes with key; name both files, or none")
+            raise ValueError("cert: needs key, and key needs cert; name both files, or none")
         if not self.loopback and self.cert is None:
-            raise ValueError("address: beyond this computer only by TLS; name cert and key, or use 127.0.0.1")
+            raise ValueError("address: another computer needs TLS; name cert and key, or use 127.0.0.1")
         return self
 
     @property
     def loopback(self) -> bool:
-        """It is reached from this computer only."""
+        """True if only this computer can reach it."""
         try:
             return ipaddress.ip_address(self.address).is_loopback
         except ValueError:
@@ -103,26 +103,26 @@ class WebSection(ConfigSection):
 
 
 class CellWebSection(WebSection):
-    """Where `polishd web` serves the cell's page and HTTP API. Left out: for this computer only."""
+    """Address of the cell's page and HTTP API, `polishd web`. Left out: for this computer only."""
 
     metrics: bool = False
-    """Answer `GET /metrics` with figures for Prometheus, to whoever has a token (docs/plant-systems.md). Needs
+    """Answer `GET /metrics` with figures for Prometheus, to users with a token (docs/plant-systems.md). Needs
     polishd[metrics]."""
 
 
 class ServedDocument(PartDocument):
-    """A cell's file, as far as it says who watches the cell, and which shop it belongs to."""
+    """A cell's file with its servers and its shop."""
 
     web: CellWebSection = CellWebSection()
     shop: ShopLinkSection | None = None
     opcua: OpcUaSection | None = None
 
 
-# A shop's own file: who it is, where it keeps its database, and where it is served (docs/shop.md).
+# A shop's file (docs/shop.md).
 
 
 class ShopSection(ConfigSection):
-    """Who this shop is, and where it keeps what it knows."""
+    """The shop's name, and the folder of its state."""
 
     name: Name
     """The shop's name."""
@@ -131,26 +131,29 @@ class ShopSection(ConfigSection):
 
 
 class ShopWebSection(WebSection):
-    """Where `polishd shop serve` serves the shop's API. Left out: for this computer only."""
+    """Address of the shop's API, `polishd shop serve`. Left out: for this computer only."""
 
     port: Annotated[int, Field(ge=0, le=65535)] = 8760
-    """Its port; 0: any that is free, which it says at its start. [1]"""
+    """Port. 0: any free port, which the server prints at its start. [1]"""
     users: Text | None = None
-    """File of its people, with hashes of their tokens; left out: `shop-users.json` in `shop.state_dir`."""
+    """File of its users, with hashes of their tokens. Left out: `shop-users.json` in `shop.state_dir`."""
 
 
 class ShopFile(TomlDocument):
-    """All of a shop's file."""
+    """A shop's file."""
 
     shop: ShopSection
     web: ShopWebSection = ShopWebSection()
 
     @property
     def state_dir(self) -> Path:
-        """Its database, and hashes of tokens."""
+        """Folder of its database and of the hashes of tokens."""
         return self.resolve(self.shop.state_dir)
 
 
 def load_shop(path: Path) -> ShopFile:
-    """ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
+    """Read a shop's file.
+
+    Raises ConfigError, one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
+    """
     return ShopFile.of(*load_toml(path))

@@ -39,7 +39,7 @@ from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif, Projection, RobotModel, ToolProcess
 from polishd.util.files import toml_text
 
-# The sections of SIM.toml that say what is physical: the part, how its tool removes, and what nobody is told.
+# The sections of SIM.toml that say what is physical: the part, how its tool removes, and the hidden truth.
 
 _TOOL = ToolProcess()
 CLOSEST = 0.8
@@ -210,7 +210,7 @@ class SimRobotSection(ConfigSection):
     """The robot controller."""
 
     kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
-    """``linuxcnc``: a real LinuxCNC, in real time, in a network of its own (docs/protocols/linuxcnc.md). ``opcua``,
+    """``linuxcnc``: a real LinuxCNC, in real time, in a separate network (docs/protocols/linuxcnc.md). ``opcua``,
     ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md)."""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
@@ -224,7 +224,7 @@ class SimRobotSection(ConfigSection):
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
     report_ms: Positive = 20.0
-    """Of such a PLC: how often it renews what it tells, wall time."""
+    """Of such a PLC: interval of its reports, wall time."""
     read_ahead_lines: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     """Of such a PLC: the line that it shows runs so far ahead of the motion. [1]"""
     watchdog_s: Positive = 8.0
@@ -306,6 +306,8 @@ class SimSpindleSection(ConfigSection):
 class SimInterferometerSection(ConfigSection):
     """The interferometer and its folder (``maps`` in the state folder)."""
 
+    kind: Literal["watched_folder"] = "watched_folder"
+    """How maps reach the cell."""
     request_file: str = "measure.request"
     """A file of this name in the folder asks for a map; `metrology.request_file` of the cell."""
     write_s: NotNegative = 0.2
@@ -365,7 +367,7 @@ SEVEN: Mapping[str, SimSignal] = {
     "emergency_stop_clear": SimSignal(value=True),
     "cell_empty": SimSignal(value=True),
 }
-"""What a cell's monitor tells that says no more: l/min, degC, bar, kPa below the air's, and states."""
+"""Signals of a monitor whose section names none: l/min, degC, bar, kPa below the air's, and states."""
 
 
 class SimMonitorSection(SimLineSection):
@@ -405,9 +407,8 @@ class SimConfig(TomlDocument):
     """The whole of sim.toml."""
 
     cell: Text | None = None
-    """The cell's file. Part, tool, robot, instrument, protocols and addresses are as it has them, and times are within
-    those that it allows. A key that is here as well has the value that is true of the machine. Left out: the defaults
-    of this page."""
+    """The cell's file. Part, tool, robot, instrument, protocols and addresses are read from it, and times are within
+    its limits. A key that is in this file too is the machine's true value. Left out: the defaults of this page."""
     plant: Plant = Plant()
     hidden_truth: Truth = Truth()
     effects: Effects = Effects()
@@ -432,7 +433,7 @@ class SimConfig(TomlDocument):
 
     @property
     def path(self) -> Path:
-        """The file it came from, absolute."""
+        """Absolute path of the file."""
         return self._path
 
     def robot_model(self) -> RobotModel:
@@ -444,7 +445,7 @@ class SimConfig(TomlDocument):
         return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
 
     def require_simulated(self, devices: Collection[str] | None = None) -> None:
-        """ConfigError where one of these devices is not simulated as the cell has it; None: any device."""
+        """Raise ConfigError if one of these devices cannot be simulated as the cell has it; None: any device."""
         for device, error in self._not_simulated.items():
             if devices is None or device in devices:
                 raise error
@@ -453,10 +454,10 @@ class SimConfig(TomlDocument):
 def load_simulator(
     path: Path, model_of: Callable[[Mapping[str, Any]], type[SimConfig]] = lambda _: SimConfig
 ) -> SimConfig:
-    """Read sim.toml, and the cell that it names. ``model_of``: the model for the sections that there are.
+    """Read sim.toml and the cell that it names. ``model_of`` returns the model for the sections.
 
     Raises:
-        ConfigError: one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``, of either file.
+        ConfigError: one line per problem of either file, ``FILE:LINE: section.key: what is wrong; what to do``.
     """
     raw, source, values = _read(path)
     if values is not None:
@@ -469,7 +470,7 @@ def load_simulator(
 
 
 def require_simulated(path: Path) -> None:
-    """ConfigError where a device of the cell that sim.toml names is not simulated as the cell has it."""
+    """Raise ConfigError if a device of the cell that sim.toml names cannot be simulated as the cell has it."""
     _, _, values = _read(path)
     if values is not None:
         add_devices(values)
@@ -478,9 +479,10 @@ def require_simulated(path: Path) -> None:
 
 
 def load_plant(path: Path) -> tuple[dict[str, Any], TomlSource]:
-    """The sections of sim.toml, and what they have of the cell that it names, for a plant without links. ConfigError.
+    """Return the sections of sim.toml with the values of its cell, for a plant without links, and their source.
 
-    The source says in which file, and where, each key is.
+    Raises:
+        ConfigError: a file cannot be read, or the cell is invalid.
     """
     raw, source, values = _read(path)
     return (raw, source) if values is None else _laid_over(raw, source, values)
@@ -504,10 +506,10 @@ def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
 
 
 def _laid_over(raw: Mapping[str, Any], source: TomlSource, values: CellValues) -> tuple[dict[str, Any], TomlSource]:
-    """What sim.toml has, over what the cell has."""
+    """Return the cell's values with those of sim.toml laid over them, and their source."""
     sections = deepcopy(values.sections)
     overlay(sections, raw)
     cell = values.cell.source
     own = key_lines(source.text)
     elsewhere = tuple((here, there) for here, there in values.locations if here not in own)
-    return sections, replace(cell, included=(*cell.included, source), stands_for=elsewhere)
+    return sections, replace(cell, included=(*cell.included, source), written_at=elsewhere)

@@ -1,4 +1,4 @@
-"""What the simulator takes from a cell's file: the part, the tool, the robot, and how each device is reached."""
+"""Values that the simulator reads from a cell's file: part, tool, robot, and the link of each device."""
 
 from __future__ import annotations
 
@@ -27,39 +27,39 @@ PART = ("edge_mm", "origin_mm", "rotation_rpy_deg", *OpticKeys.__annotations__)
 TOOL = tuple(name for name in ContactKeys.__annotations__ if name != "preston")
 MACHINE = ("corner_deg", "max_feed_mm_s", "x_mm", "y_mm", "z_mm")
 MORE_ACCEL = 1.25
-"""What the robot truly accelerates with, over `machine.accel_mm_s2`, which is on the safe side."""
+"""True acceleration of the robot over `machine.accel_mm_s2`, which is on the safe side."""
 FINEST_MM, COARSEST_MM = 0.2, 1.0
-"""Spacing of maps that a simulated part can have in a sensible time."""
+"""Range of the pitch of simulated maps that is computed in acceptable time."""
 USUAL_ARTEFACT_MM = 100.0
 LANDS_S, LIFTS_S, SPINS_S, USUAL_RPM = 2.0, 4.0, 3.0, 3000
 LOADS_S, UNLOADS_S, FILTER_S, RANGE_N = 30.0, 20.0, 0.03, 60.0
 DRIVE_TIME_SHARE = 0.8
-"""Share of the longest time that the cell allows which a simulated drive takes at most."""
+"""Share of the longest time that the cell allows that a simulated device takes if it is slower."""
 LOADER_TIME_SHARE = 0.4
-"""Share of the longest change that loading, or unloading, takes at most."""
+"""Share of the longest change that loading, or unloading, takes if the simulated loader is slower."""
 NO_WATCHDOG_S = 600.0
-"""Watchdog of a simulated controller whose real one has none."""
+"""Watchdog of a simulated controller if the real one has none."""
 SIGNAL_MARGIN = 0.1
 """How far a signal is inside a bound, relative to it."""
 
 
 @dataclass(slots=True)
 class CellValues:
-    """Values of sim.toml's sections that come from the cell."""
+    """Values of the sections of sim.toml that come from the cell."""
 
     cell: CellConfig
     folder: Path
     """Of sim.toml: paths start there."""
     given: Mapping[str, Any]
-    """What sim.toml has: a value that is there counts."""
+    """Values of sim.toml, which replace those of the cell."""
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
     locations: list[tuple[Location, Location]] = field(default_factory=list)
-    """Which key of the cell each key is."""
+    """Each key with the key of the cell that it comes from."""
     not_simulated: dict[str, ConfigError] = field(default_factory=dict)
-    """By port, why the cell's device there is not simulated as it is."""
+    """By section, why the cell's device cannot be simulated."""
 
     def put(self, section: str, key: str, value: Any, source: str, *, inner: tuple[str, ...] = ()) -> None:
-        """A value of a section, or of its table ``inner``, if it is not None; ``source`` is the cell's dotted key."""
+        """Put a value other than None into a section or its table ``inner``; ``source`` is the cell's dotted key."""
         if value is not None:
             table = self.sections.setdefault(section, {})
             for name in inner:
@@ -68,25 +68,25 @@ class CellValues:
             self.locations.append(((section, *inner, key), tuple(source.split("."))))
 
     def take(self, section: str, keys: tuple[str, ...], source: str) -> None:
-        """Values that the cell's section ``source`` has under the same names."""
+        """Put the values of the cell's section ``source`` with the same names."""
         for key in keys:
             self.put(section, key, getattr(getattr(self.cell, source), key), f"{source}.{key}")
 
     def given_keys(self, section: str) -> Mapping[str, Any]:
-        """What sim.toml has in a section."""
+        """Return the keys of a section of sim.toml."""
         found = self.given.get(section, {})
         return found if isinstance(found, Mapping) else {}
 
     def path(self, file: Path) -> str:
-        """A file as sim.toml would name it."""
+        """Return a file's path relative to sim.toml."""
         return Path(os.path.relpath(file.absolute(), self.folder.absolute())).as_posix()
 
     def options(self, device: str) -> dict[str, Any]:
-        """A device's keys as they are in the cell's file."""
+        """Return a device's keys as written in the cell's file."""
         return dict(self.cell.devices[device].model_extra or {})
 
     def number(self, device: str, key: str, usual: float) -> float:
-        """A number of a device's section; ConfigError where it is none."""
+        """Return a number of a device's section; raise ConfigError if it is not a number."""
         value = self.options(device).get(key, usual)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.cell.error(f"{device}.{key}", f"must be a number, not {value!r}. Correct it.")
@@ -94,7 +94,7 @@ class CellValues:
 
 
 def add_physics(values: CellValues) -> None:
-    """Part, tool, robot and instrument: all that a plant without links needs."""
+    """Add part, tool, robot and instrument: the values of a plant without links."""
     _add_part(values)
     _add_process(values)
     _add_kinematics(values)
@@ -132,7 +132,7 @@ def _add_kinematics(values: CellValues) -> None:
 
 
 def _add_machine(values: CellValues) -> None:
-    """The machine's limits, where it stands at first, and how fast it truly accelerates."""
+    """Add the machine's limits, its first position and its true acceleration."""
     cell, machine = values.cell, values.cell.machine
     values.take("robot", MACHINE, "machine")
     lean_deg = most_lean_deg(cell)
@@ -143,7 +143,7 @@ def _add_machine(values: CellValues) -> None:
 
 
 def home(cell: CellConfig) -> tuple[float, float, float, float, float]:
-    """Over the part's centre, as high as the program may go: X Y Z A C of the program's frame."""
+    """Return X Y Z A C of the program's frame over the part's center at the top of the range."""
     (dx, dy, _), turn, machine = cell.program.offset_mm, math.radians(cell.program.rotation_deg), cell.machine
     x = -(math.cos(turn) * dx + math.sin(turn) * dy)
     y = math.sin(turn) * dx - math.cos(turn) * dy
@@ -152,7 +152,7 @@ def home(cell: CellConfig) -> tuple[float, float, float, float, float]:
 
 
 def most_lean_deg(cell: CellConfig) -> float:
-    """How far the tool leans on the part: its dip, the part's slope, and some room."""
+    """Return the largest lean of the tool on the part: dip, slope of the part and a margin."""
     part, slope_deg = cell.part, 0.0
     if part.curvature_radius_mm is not None:
         share = (cell.outline().radius_mm + math.hypot(*part.off_axis_mm)) / abs(part.curvature_radius_mm)
@@ -161,7 +161,7 @@ def most_lean_deg(cell: CellConfig) -> float:
 
 
 def _add_instrument(values: CellValues) -> None:
-    """Arrays and numbers such that the instrument's profile puts them right, and the artefact that proves it."""
+    """Add the errors of the maps that the instrument's profile corrects, and the artefact that proves it."""
     if values.cell.profile_path is None:
         return
     profile = ProfileFile.of(*load_toml(values.cell.profile_path))
@@ -180,7 +180,7 @@ def _add_instrument(values: CellValues) -> None:
         put("interferometer", "diameter_mm", max(USUAL_ARTEFACT_MM, 2.0 * far_mm), inner=("artefact",))
 
 
-# How each device is reached: its protocol, its address on this computer, and times within those that the cell allows.
+# Devices: protocol, address on this computer, and times within the limits of the cell.
 
 CAN, PROFILE, LINE = ("slcan", "socketcand"), ("profile", "profile_tcp"), ("serial", "tcp")
 KINDS: Mapping[str, tuple[str, str]] = {
@@ -194,19 +194,23 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "actuator_profile": PROFILE,
     "cia402_spindle": CAN,
     "spindle_profile": PROFILE,
-    "watched_folder": ("", ""),
+    "watched_folder": ("watched_folder", "watched_folder"),
     "loader_line": LINE,
     "force_sensor_profile": LINE,
     "monitor_line": LINE,
 }
-"""By device type the `kind` of its simulated device on a serial line and on TCP; empty: none. A type that is not here
-needs its `kind` in sim.toml: `polishd rehearse` writes it where the type names its simulated device."""
+"""By device type the `kind` of its simulated device on a serial line and on TCP; empty: none. `plc_robot` has the kind
+of its profile. A type of another plugin needs its `kind` in sim.toml: `polishd rehearse` writes it if the type names
+its simulated device."""
+SHIPPED = {kind for pair in KINDS.values() for kind in pair}
+SECTIONS: Mapping[str, str] = {"metrology": "interferometer"}
+"""Sections of sim.toml with another name than the port."""
 SENSOR_PROFILE = "force_sensor_line"
-"""The profile that the simulated force sensor has."""
+"""Profile of the simulated force sensor."""
 
 
 def add_devices(values: CellValues) -> None:
-    """What the cell's own devices are on their links; what is not simulated goes to ``not_simulated``."""
+    """Add the cell's devices on their links; errors of devices that cannot be simulated go to ``not_simulated``."""
     add: Mapping[str, Callable[[CellValues, str, str], None]] = {
         "robot": _add_robot,
         "actuator": _add_actuator,
@@ -220,14 +224,15 @@ def add_devices(values: CellValues) -> None:
     if monitors := [name for name in values.cell.devices if port_of(name) == "monitor"]:
         used["monitor"] = monitors[0]
     for port, device in used.items():
-        section, kind = "interferometer" if port == "metrology" else port, str(values.cell.devices[device].type)
+        section, kind = SECTIONS.get(port, port), str(values.cell.devices[device].type)
         values.sections.setdefault(section, {})
-        if "kind" in values.given_keys(section):
+        written = values.given_keys(section).get("kind")
+        if written is not None and (kind in KINDS or written not in SHIPPED):
             continue
         try:
-            if kind not in KINDS:
+            if written is None and kind not in KINDS:
                 raise _unlike(values, f"{device}.type", f"no simulated {port} is a {kind!r}")
-            if port != "metrology":
+            if written is None and port != "metrology":
                 _add_link(values, device, *KINDS[kind])
             add[port](values, device, kind)
         except ConfigError as error:
@@ -241,14 +246,14 @@ def _unlike(values: CellValues, key: str, problem: str) -> ConfigError:
 
 
 def _add_link(values: CellValues, device: str, serial: str, tcp: str) -> None:
-    """Kind, port and baud; ConfigError where the cell reaches the device otherwise, or not on this computer."""
+    """Add kind, port and baud; raise ConfigError if the address is of another link or another computer."""
     text, key, section = str(values.options(device).get("address", "")), f"{device}.address", port_of(device)
     try:
         url = urlsplit(text)
         host, port, query = url.hostname or "", url.port, parse_qs(url.query)
         baud = int(query["baud"][0]) if "baud" in query else None
     except ValueError as error:
-        raise values.cell.error(key, f"{text!r} is no address: {error}. Correct it.") from error
+        raise values.cell.error(key, f"is not an address: {text!r}: {error}. Correct it.") from error
     is_serial = url.scheme in {"serial", "slcan"}
     if url.path.startswith("/dev/") if is_serial else not (host == "localhost" or host.startswith("127.")):
         raise _unlike(values, key, f"{text!r} is not on this computer")
@@ -296,7 +301,7 @@ def _add_actuator(values: CellValues, device: str, kind: str) -> None:
 
 
 def _add_profile(values: CellValues, device: str) -> DeviceProfile:
-    """A device that speaks what a profile says."""
+    """Add the profile of a device."""
     name = str(values.options(device).get("profile", ""))
     profile = profile_of(name, values.cell.base_dir)
     file = values.cell.resolve(name) if name.endswith(".toml") else DEVICE_PROFILE_DIR / f"{name}.toml"
@@ -330,8 +335,8 @@ def _add_loader(values: CellValues, device: str, _: str) -> None:
     values.put("loader", "unload_s", min(UNLOADS_S, change_s), f"{device}.change_s")
 
 
-def _add_force_sensor(values: CellValues, device: str, _: str) -> None:
-    if (profile := values.options(device).get("profile")) != SENSOR_PROFILE:
+def _add_force_sensor(values: CellValues, device: str, kind: str) -> None:
+    if kind in KINDS and (profile := values.options(device).get("profile")) != SENSOR_PROFILE:
         raise _unlike(values, f"{device}.profile", f"no simulated force sensor has the profile {profile!r}")
     delay_s = values.number(device, "delay_s", SensorTimes().delay_s)
     values.put("force_sensor", "latency_s", min(FILTER_S, delay_s / 2), f"{device}.delay_s")
@@ -339,14 +344,14 @@ def _add_force_sensor(values: CellValues, device: str, _: str) -> None:
 
 
 def _add_signals(values: CellValues, _device: str, _kind: str) -> None:
-    """One box reports what all of the cell's monitors do, each signal well inside its bounds."""
+    """Add the signals of all monitors of the cell, each well inside its bounds, to one simulated monitor."""
     for name, signal in values.cell.signals.items():
         reported = ("signals", signal.signal or name)
         values.put("monitor", "value", inside(signal), f"signals.{name}", inner=reported)
 
 
 def inside(signal: SignalSection) -> float | bool:
-    """A value that is as it should be before contact, in contact and at a start."""
+    """Return a value inside the bounds before contact, in contact and at a start."""
     given = (signal.before, signal.in_contact, signal.on_start)
     bounds: list[BoundsSection] = [one for one in given if one is not None]
     states = [one.state for one in bounds if one.state is not None]

@@ -69,7 +69,7 @@ class FaultSection(ConfigSection):
     drift_n_s: float = 0.0
     """Of `drift`: how fast; positive: it reads too much. [N/s]"""
     limit_n: NotNegative = 0.0
-    """Of `saturate`: the most that it tells."""
+    """Of `saturate`: its largest reading."""
     percent: Annotated[float, Field(ge=0, le=200)] | None = None
     """Of `override`: the speed that is left of the programmed one. [%]"""
     ramp_s: NotNegative = 0.0

@@ -1,4 +1,4 @@
-"""A study's file: TOML into frozen models, each error with its file, line and key, as a cell's configuration."""
+"""A study's file: TOML into frozen models; each error names file, line and key, as for a cell's file."""
 
 from __future__ import annotations
 
@@ -28,136 +28,137 @@ from polishd.config.toml_loader import TomlDocument, TomlSource, did_you_mean, j
 from polishd.model.errors import ConfigError
 from polishd.model.outline import Outline
 
-# A study of whole jobs against simulated plants, and the files of what may be wrong with one.
+# A study of whole jobs against simulated plants, and its scenarios.
 
 Taken = Literal["rate", "spot", "touch"]
-"""What a loop takes over from a witness part: a spot's volume rate alone, or its shape with it, or all that a first
-touch teaches (`polishd calibrate first-touch`)."""
+"""Estimates that a loop takes over from a witness part: the volume rate of a spot, rate and shape of a spot, or all
+estimates of a first touch (`polishd calibrate first-touch`)."""
 Poses = tuple[tuple[float, float, float], ...]
 """(angle_deg, x_mm, y_mm) of the part in maps: counter-clockwise as displayed, then further right and up."""
 _POSES: TypeAdapter[list[tuple[float] | tuple[float, float, float]]] = TypeAdapter(
     list[tuple[float] | tuple[float, float, float]], config=ConfigDict(allow_inf_nan=False)
 )
 AS_IT_IS = "nothing"
-"""The scenario of a plant as its file has it."""
+"""The scenario of a plant without changes."""
 
 
 class Scenario(TomlDocument):
-    """What is wrong with a plant: sections of SIM.toml that are laid over the study's."""
+    """A fault of a plant: sections of SIM.toml that are laid over the study's."""
 
     what: Text
-    """What is wrong, in words."""
+    """Description of the fault."""
     named: Texts = ()
-    """What the loop may rightly say of it, and must say some of: causes, or kinds of findings; none: nothing."""
+    """Correct diagnoses, of which the loop must report at least one: causes, or kinds of findings. None: it must report
+    nothing."""
     also: Texts = ()
-    """What it may say besides, and need not."""
+    """Other diagnoses that the loop may report."""
     plant: Mapping[str, Mapping[str, Any]] = {}
-    """By section of SIM.toml, the keys that differ: `[plant.effects]`."""
+    """Changed keys, by section of SIM.toml: `[plant.effects]`."""
 
 
 class LoopStudy(TomlDocument):
-    """Jobs in a closed loop: measured, solved, executed by a plant with its errors, and learned from."""
+    """Jobs in a closed loop: measure, solve, execute on a plant with its errors, and estimate."""
 
     kind: Literal["loop"]
     title: Text
-    """What the tables and pictures are headed with."""
+    """Title of tables and pictures."""
     cell: Text = "cell.toml"
     """The cell's file: part, program, process, tolerance."""
     cell_with: Mapping[str, Any] = {}
-    """What all loops have otherwise than that file: values by dotted key."""
+    """Changes of the cell's file for all loops: values by dotted key."""
     plant: Text = "sim.toml"
-    """The plant's, as the simulator reads it."""
+    """The plant's file, as the simulator reads it."""
     plant_with: Mapping[str, Mapping[str, Any]] = {}
-    """By section of SIM.toml, the keys that differ in all scenarios: `[plant_with.plant]`."""
+    """Changed keys for all scenarios, by section of SIM.toml: `[plant_with.plant]`."""
     scenarios: Texts = ()
-    """Files of scenarios, or folders of them; none: the plant as its file has it."""
+    """Files of scenarios, or folders of such files. None: the plant without changes."""
     controllers: Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]
-    """By name, what that loop has otherwise than the cell's file: values by dotted key. And `witness = "rate"`
-    or `"spot"`: what it begins with of a spot that the same machine has polished on another part; `"touch"`: it
-    begins with what the first touch of `polishd calibrate first-touch` has taught there. `poses`: how the part lies
-    (angle_deg, x_mm, y_mm) in maps before the first pass, which tell the instrument's own error. `learns = false`:
-    what its passes teach is judged, and not taken over."""
+    """Changes of the cell's file by loop: values by dotted key. Further keys: `witness = "rate"` or `"spot"` starts the
+    loop with the estimate from a spot that the same machine polished on another part, `"touch"` with the estimates of
+    a first touch there (`polishd calibrate first-touch`). `poses` are poses of the part (angle_deg, x_mm, y_mm) in maps
+    before the first pass, which measure the instrument's error. `learns = false` compares estimates without using
+    them."""
     seeds: Annotated[int, Field(ge=1, le=10_000)] = 20
-    """How many plants a scenario and loop; all loops meet the same ones. [1]"""
+    """Number of plants for each scenario and loop. All loops have the same plants. [1]"""
     first_seed: Annotated[int, Field(ge=0)] = 1
-    """The first of them. [1]"""
+    """The first seed. [1]"""
     raster: bool = False
-    """Take a raster of one's own over the part, as `polishd demo` does, instead of the cell's program."""
+    """Use a new raster over the part, as `polishd demo`, instead of the cell's program."""
     passes: Annotated[int, Field(ge=1, le=100)] = 6
-    """Most passes of a job, instead of the cell's. [1]"""
+    """Largest number of passes of a job, instead of the cell's. [1]"""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
-        """Nothing is."""
+        """Yield nothing: this study uses all keys."""
         yield from ()
 
     def loop(self, name: str) -> tuple[dict[str, Any], Taken | None, Poses, bool]:
-        """What it has otherwise than the cell's file by dotted key, its witness, poses and ``learns``; ConfigError."""
+        """Return a loop's changes of the cell's file, its witness, poses and ``learns``; raise ConfigError."""
         keys = {**self.cell_with, **self.controllers[name]}
         learns = keys.pop("learns", True)
         if not isinstance(learns, bool):
-            raise self.error(f"controllers.{name}.learns", f"must be true or false, not {learns!r}; mend it")
+            raise self.error(f"controllers.{name}.learns", f"must be true or false, not {learns!r}")
         witness = keys.pop("witness", None)
         if witness not in {None, *get_args(Taken)}:
             raise self.error(
-                f"controllers.{name}.witness", f'{witness!r} is nothing to begin with; it is "rate", "spot" or "touch"'
+                f"controllers.{name}.witness", f'{witness!r} is not allowed; must be "rate", "spot" or "touch"'
             )
         try:
             poses = _POSES.validate_python(keys.pop("poses", []))
         except ValidationError:
-            wanted = "a list of [angle_deg, x_mm, y_mm]: the last two left out, the part is not shifted"
-            raise self.error(f"controllers.{name}.poses", f"is not {wanted}") from None
+            problem = "must be a list of [angle_deg, x_mm, y_mm], or [angle_deg] without a shift"
+            raise self.error(f"controllers.{name}.poses", problem) from None
         return keys, witness, tuple((angle, *(shift or (0.0, 0.0))) for angle, *shift in poses), learns
 
     def file_of(self, key: Literal["cell", "plant"]) -> Path:
-        """That file; ConfigError with the place of its key where it is not there."""
+        """Return that file's path; raise ConfigError at its key if the file does not exist."""
         return self._there(key, self.cell if key == "cell" else self.plant)
 
     def _there(self, key: str, given: str) -> Path:
         path = self.resolve(given)
         if not path.exists():
-            raise self.error(key, f"{path}: no such file; name one that is there")
+            raise self.error(key, f"{path}: no such file; name an existing one")
         return path
 
     def all_scenarios(self) -> dict[str, Scenario]:
-        """By name, those of its files and folders; ConfigError for one that is wrong, or not there."""
+        """Return the scenarios by name; raise ConfigError for one that is wrong or missing."""
         found = {}
         for given in self.scenarios:
             path = self._there("scenarios", given)
             files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
             if not files:
-                raise self.error("scenarios", f"{given}: no .toml file is in this folder; name one that has scenarios")
+                raise self.error("scenarios", f"{given}: this folder has no .toml file; name one with scenarios")
             found.update({file.stem: load_scenario(file) for file in files})
-        return found or {AS_IT_IS: Scenario(what="the plant as its file has it")}
+        return found or {AS_IT_IS: Scenario(what="the plant without changes")}
 
 
 def load_scenario(path: Path) -> Scenario:
-    """One scenario's file; ConfigError with file, line and key."""
+    """Read a scenario's file; raise ConfigError with file, line and key."""
     return Scenario.of(*load_toml(path))
 
 
 MOST_SAMPLES = 1_000_000
-"""Samples, and dwell points, of a study: beyond it the machine's memory decides, not the file."""
+"""Largest number of samples, and of dwell points, of a study; more may exceed the memory."""
 
 
 class SurfaceSection(ConfigSection):
-    """The surface at the start: drawn from a seed, or a measured map."""
+    """The surface at the start: random from a seed, or a measured map."""
 
     file: Text | None = None
-    """A measured map, read as a cell's; instead of `rms_nm` and `period_mm`."""
+    """A measured map, read as a cell's, instead of `rms_nm` and `period_mm`."""
     rms_nm: Positive | None = None
-    """RMS of a drawn surface, in the clear aperture."""
+    """RMS of a random surface in the clear aperture."""
     period_mm: Range | None = None
-    """Shortest and longest period of a drawn surface."""
+    """Shortest and longest period of a random surface."""
     seed: Annotated[int, Field(ge=0)] = 1
-    """What a drawn surface is drawn from: the same number gives the same surface. [1]"""
+    """Seed of a random surface. The same seed gives the same surface. [1]"""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
         drawn = self.rms_nm is not None and self.period_mm is not None
         if self.file is not None and (self.rms_nm is not None or self.period_mm is not None):
-            raise ValueError("file: a measured map has its own RMS and periods; drop rms_nm and period_mm, or the file")
+            raise ValueError("file: cannot be combined with rms_nm and period_mm; remove these, or the file")
         if self.file is None and not drawn:
-            raise ValueError("rms_nm: a drawn surface needs rms_nm and period_mm = [low, high]; add them, or a file")
+            raise ValueError("rms_nm: a random surface needs rms_nm and period_mm = [low, high]; add them, or a file")
         if self.period_mm is not None and self.period_mm[0] <= 0:
             raise ValueError("period_mm: must be above 0; give the shortest and the longest period")
         return self
@@ -167,57 +168,57 @@ class PathSection(ConfigSection):
     """Dwell points at rest on a square lattice, over the aperture and an extension beyond it."""
 
     step_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
-    """Distance of the dwell points."""
+    """Distance between dwell points."""
     extension_mm: Annotated[float, Field(ge=0, le=100)] = 2.0
-    """How far beyond the aperture they go."""
+    """Extension of the dwell points beyond the aperture."""
 
 
 class SolveSection(ConfigSection):
-    """How the dwell is solved: eq. 50 with ``t >= 0``."""
+    """Solution of the dwell: eq. 50 with ``t >= 0``."""
 
     regularisation_nm2_s2: NotNegative = 1e-9
-    """Of eq. 50, its P: weight of the squared dwell."""
+    """P of eq. 50: weight of the squared dwell."""
     unreachable: ShareOrNone = 0.005
-    """Share of the samples for which the mean removal may be too little. [1]"""
+    """Share of the samples for which the mean removal may be too small. [1]"""
     kkt_tolerance: Share = 1e-5
-    """KKT residual to stop at. [1]"""
+    """KKT residual at which the solver stops. [1]"""
     cpu_limit_s: Seconds = 60.0
-    """CPU seconds for each solve; the best so far is taken."""
+    """CPU seconds of each solve, which then returns its best result."""
 
 
 class StudyFile(ProcessDocument):
-    """What all studies share."""
+    """Base of all studies."""
 
     title: Text
-    """What the tables and pictures are headed with."""
+    """Title of tables and pictures."""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
-        """Dotted keys of the file that this kind of study has no use for, and why."""
+        """Yield (dotted key, reason) of keys in the file that this kind of study does not use."""
         for key in ("removal_model", "correction", "tif"):
             if key in self.process.model_fields_set:
-                yield f"process.{key}", "a study has its own corrections, and its spot is the modelled one"
+                yield f"process.{key}", "a study uses its own corrections and the modeled spot"
 
 
 class PartStudy(StudyFile, PartDocument):
-    """What the studies over a part share: the part, its place, the robot and the path."""
+    """Base of studies over a part: the part, its pose, the robot and the path."""
 
     path: PathSection = PathSection()
 
     def require_size(self) -> None:
-        """ConfigError where it would be more than a study can hold."""
+        """Raise ConfigError if the study has too many dwell points or samples."""
         pitch = min(self.path.step_mm, self.process.grid_mm)
         wide, high = (2 * (half + self.path.extension_mm) / pitch for half in self.outline().half_mm)
         if wide * high > MOST_SAMPLES:
-            said = f"{wide * high:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be studied"
-            raise self.error("path", said)
+            problem = f"{wide * high:.3g} dwell points or samples; at most {MOST_SAMPLES:.0e} can be computed"
+            raise self.error("path", problem)
 
     def free_rim(self) -> Outline | None:
-        """The part's outline where its rim is free; None: the part sits in a flush ring."""
+        """Return the part's outline if its edge is free; None if the part sits in a flush ring."""
         return self.outline() if self.part.free_edge else None
 
 
 class CorrectionsStudy(PartStudy):
-    """Every correction against two plants (paper section IV-D)."""
+    """Each correction on two plants (paper section IV-D)."""
 
     kind: Literal["corrections"]
     surface: SurfaceSection
@@ -226,10 +227,10 @@ class CorrectionsStudy(PartStudy):
     """Period above which `band_rms_nm` counts."""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
-        """Of what is said of a map where the surface is drawn, the nominal form."""
+        """Yield unused keys: also the desired form, if the surface is random."""
         yield from super().without_use()
         if self.surface.file is None and self.part.form is not None:
-            yield "part.form", "a drawn surface is the error already, less the form wanted"
+            yield "part.form", "a random surface is the error already, without the form"
 
 
 class PassesStudy(PartStudy):
@@ -237,12 +238,12 @@ class PassesStudy(PartStudy):
 
     kind: Literal["passes"]
     passes: Annotated[int, Field(ge=1, le=1000)] = 10
-    """How many. [1]"""
+    """Number of passes. [1]"""
     dwell_s: Positive = 0.01
-    """At each point, in each pass."""
+    """Dwell at each point in each pass."""
 
     def without_use(self) -> Iterator[tuple[str, str]]:
-        """What is said of maps."""
+        """Yield unused keys: also those about maps."""
         yield from super().without_use()
         for key in ("form", "alignment"):
             if key in self.part.model_fields_set:
@@ -250,10 +251,10 @@ class PassesStudy(PartStudy):
 
 
 class SpotSection(ConfigSection):
-    """One spot, and what the paper prints of it, if anything."""
+    """One spot, and its values in the paper, if any."""
 
     size_mm: Positive
-    """Size of the bonnet; the study computes it as a radius and as a diameter, as the paper does not say which."""
+    """Size of the bonnet. The study computes it as a radius and as a diameter, because the paper leaves it open."""
     rpm: Speed
     """Speed of the spindle, instead of the process's."""
     force_n: Force
@@ -261,11 +262,11 @@ class SpotSection(ConfigSection):
     dip_deg: Dip
     """Dip, instead of the process's."""
     paper_depth_error_percent: NotNegative | None = None
-    """What the paper prints for the depth, to stand beside."""
+    """The paper's value for the depth, for comparison."""
     paper_volume_error_percent: NotNegative | None = None
-    """What it prints for the volume."""
+    """The paper's value for the volume."""
     paper_jsd: NotNegative | None = None
-    """Jensen-Shannon divergence that it prints. [1]"""
+    """The paper's Jensen-Shannon divergence. [1]"""
 
 
 class SpotsStudy(StudyFile):
@@ -273,7 +274,7 @@ class SpotsStudy(StudyFile):
 
     kind: Literal["spots"]
     seconds: Positive = 60.0
-    """How long each spot is polished. [s]"""
+    """Polishing time of each spot. [s]"""
     spots: Annotated[dict[Name, SpotSection], Field(min_length=1)]
     """The spots by name, each a table `[spots.NAME]`."""
 
@@ -288,22 +289,22 @@ KINDS: dict[str, type[Study]] = {
 
 
 def load_study(path: Path) -> Study:
-    """Read a study's TOML; ConfigError with one line per problem: ``FILE:LINE: key: what is wrong; what to do``.
+    """Read a study's file; raise ConfigError with one line per problem: ``FILE:LINE: key: problem; what to do``.
 
-    Of one with a ``[sweep]``, `polishd.config.sweep.load_swept` reads all cases.
+    For a file with a ``[sweep]``, `polishd.config.sweep.load_swept` reads all cases.
     """
     return study_of(*load_toml(path))
 
 
 def study_of(raw: Mapping[str, Any], source: TomlSource) -> Study:
-    """The same of a file's values, and the text that says where they stand."""
+    """Validate a study's values, as ``load_study``."""
     kind = raw.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."
         given = "is missing" if kind is None else f"{kind!r} is not allowed"
         raise ConfigError(source.error(("kind",), f"{given}; must be one of {join_words(KINDS)}{near}"))
     study = KINDS[kind].of(raw, source)
-    unused = [source.error(tuple(key.split(".")), f"{why}; drop it") for key, why in study.without_use()]
+    unused = [source.error(tuple(key.split(".")), f"{why}; remove it") for key, why in study.without_use()]
     if unused:
         raise ConfigError("\n".join(unused))
     if isinstance(study, PartStudy):

@@ -1,4 +1,4 @@
-"""``[sweep]`` of a study's file: which of its keys take many values, and how these go together."""
+"""``[sweep]`` of a study's file: keys with many values, and their combination."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ SPREAD = ("uniform", "log_uniform", "normal", "lognormal")
 
 
 class AxisSection(ConfigSection):
-    """The values of one key: a list, or a table with one of these."""
+    """The values of one key: a list, or a table with one of these keys."""
 
     values: Annotated[tuple[Any, ...], BeforeValidator(as_tuple)] | None = None
-    """Those; a list alone is the same."""
+    """These values; a list alone is the same."""
     linear: Range | None = None
-    """From the first to the last in `count` equal steps. [that of the key]"""
+    """`count` values from the first to the last at equal distances. [that of the key]"""
     log: Range | None = None
-    """The same in equal ratios. [that of the key]"""
+    """`count` values from the first to the last in equal ratios. [that of the key]"""
     count: Annotated[int, Field(ge=2, le=1_000_000)] | None = None
-    """How many of `linear` and `log`. [1]"""
+    """Number of values of `linear` and `log`. [1]"""
     uniform: Range | None = None
-    """Drawn evenly between the two. [that of the key]"""
+    """Uniform distribution between the two. [that of the key]"""
     log_uniform: Range | None = None
-    """Drawn so that the logarithm is even between the two. [that of the key]"""
+    """Uniform distribution of the logarithm between the two. [that of the key]"""
     normal: Pair | None = None
-    """Drawn from a normal distribution: mean, standard deviation. [that of the key]"""
+    """Normal distribution: mean, standard deviation. [that of the key]"""
     lognormal: Pair | None = None
-    """Drawn from a lognormal one: median, standard deviation of the natural logarithm. [that of the key]"""
+    """Lognormal distribution: median, standard deviation of the natural logarithm. [that of the key]"""
     files: Text | None = None
-    """All files that this pattern finds from the study's folder, by name: `"maps/*.dat"`."""
+    """All files of this pattern from the study's folder, by name: `"maps/*.dat"`."""
     numbers_from: Annotated[int, Field(ge=0)] | None = None
-    """Whole numbers from this one on, another for each draw: seeds. [1]"""
+    """Integers from this one on, one for each draw: seeds. [1]"""
     pair: bool = False
-    """The key wants a range, and is given `[value, value]`: the plant draws from ranges."""
+    """The key needs a range, and gets `[value, value]`: the plant draws from ranges."""
 
     @property
     def kind(self) -> str:
-        """Which of them it is."""
+        """Key that defines the values."""
         return next(name for name in _KINDS if getattr(self, name) is not None)
 
     @model_validator(mode="before")
@@ -65,7 +65,7 @@ class AxisSection(ConfigSection):
             return {"values": value}
         if not isinstance(value, dict):
             raise ValueError(
-                f"is one value, {value!r}; give a list, or a table such as {{ linear = [a, b], count = n }}"
+                f"must have several values, not {value!r}; give a list, or {{ linear = [a, b], count = n }}"
             )
         return value
 
@@ -77,10 +77,10 @@ class AxisSection(ConfigSection):
         if self.values == ():
             raise ValueError("is empty; give at least one value")
         if (self.count is not None) != (self.kind in EVEN):
-            raise ValueError("count goes with linear and log, and they need it: how many values")
+            raise ValueError("linear and log need count, and no other kind has it; add or remove it")
         for name in ("log", "log_uniform"):
             if (ends := getattr(self, name)) is not None and ends[0] <= 0:
-                raise ValueError(f"{name} begins at {ends[0]:g}; it must be above 0")
+                raise ValueError(f"{name} starts at {ends[0]:g}; it must be above 0")
         for name in ("normal", "lognormal"):
             if (shape := getattr(self, name)) is not None and shape[1] <= 0:
                 raise ValueError(f"the standard deviation of {name} is {shape[1]:g}; it must be above 0")
@@ -93,24 +93,24 @@ _KINDS = ("values", *EVEN, *SPREAD, "files", "numbers_from")
 
 
 class GroupSection(ConfigSection):
-    """Keys whose values go together in one way; groups are crossed with each other."""
+    """Keys whose values are combined in one way. Groups are crossed with each other."""
 
     how: How = "crossed"
-    """Each value with each of the others; side by side (`zipped`); each drawn by itself (`drawn`); or drawn so that
-    each key's range is covered evenly (`latin`, a Latin hypercube)."""
+    """Combination: each value with each of the others (`crossed`), pairwise in order (`zipped`), independent draws
+    (`drawn`), or draws that cover each key's range evenly (`latin`, a Latin hypercube)."""
     draws: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """How many of `drawn` and `latin`. [1]"""
+    """Number of draws of `drawn` and `latin`. [1]"""
     over: Annotated[dict[str, AxisSection], Field(min_length=1)]
-    """By dotted key of the study, as `"process.force_n"`; in a study of loops also `"cell_with.process.force_n"`,
-    `"plant_with.hidden_truth.rate"` and `"controllers.NAME.process.correction"`."""
+    """Values by dotted key of the study, such as `"process.force_n"`; in a study of loops also
+    `"cell_with.process.force_n"`, `"plant_with.hidden_truth.rate"` and `"controllers.NAME.process.correction"`."""
 
     @model_validator(mode="after")
     def _draws_where_drawn(self) -> Self:
         drawn = self.how in {"drawn", "latin"}
         if drawn and self.draws is None:
-            raise ValueError(f'draws: is missing; add it: how many points of how = "{self.how}"')
+            raise ValueError(f'draws: is missing; add the number of points of how = "{self.how}"')
         if not drawn and self.draws is not None:
-            raise ValueError('draws: goes with how = "drawn" and "latin"; drop it')
+            raise ValueError('draws: needs how = "drawn" or "latin"; remove it')
         return self
 
 
@@ -118,36 +118,36 @@ class SweepSection(ConfigSection):
     """Many cases of one study."""
 
     seed: Annotated[int, Field(ge=0)] = 1
-    """What all that is drawn is drawn from: the same number gives the same cases. [1]"""
+    """Seed of all draws. The same seed gives the same cases. [1]"""
     group: Annotated[tuple[GroupSection, ...], BeforeValidator(as_tuple), Field(min_length=1)]
     """Groups of keys, each a table `[[sweep.group]]`."""
 
 
-# The points of a sweep: every combination of values, and the study that each of them makes.
+# The points of a sweep: each combination of values, and its study.
 
 MOST_POINTS = 100_000
-MOST_SAID = 10
-"""Problems that are told at once; the others are likely alike."""
+MOST_PROBLEMS = 10
+"""Largest number of reported problems; the others are likely similar."""
 FIXED = ("kind", "title", "sweep", "seeds", "scenarios", "controllers")
-"""Keys that say what all cases are: no case has its own."""
+"""Keys that are the same for all cases."""
 Point = Mapping[str, Any]
-"""By dotted key of the study, the value that it has there."""
+"""Values by dotted key of the study."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepStudy:
-    """A study's file as its cases see it."""
+    """A study's file and its points."""
 
     path: Path
     raw: Mapping[str, Any]
     """All but ``[sweep]``."""
     source: TomlSource
     points: tuple[Point, ...]
-    """One without keys where nothing is swept."""
+    """A single point without keys if there is no sweep."""
     is_sweep: bool
 
     def at(self, point: Point) -> Study:
-        """The study at these values. ConfigError at the place of the sweep that they came from."""
+        """Return the study at these values; raise ConfigError at the key of the sweep that they come from."""
         raw = deepcopy(dict(self.raw))
         for key, value in point.items():
             put(raw, key, value)
@@ -155,7 +155,7 @@ class SweepStudy:
 
 
 def read_swept(path: Path) -> SweepStudy:
-    """A study's file without its points, for whoever is told them. ConfigError."""
+    """Read a study's file without its points, for workers that receive them; raise ConfigError."""
     raw, source = load_toml(path)
     swept = raw.pop("sweep", None) is not None
     return SweepStudy(path.absolute(), raw, source, (), is_sweep=swept)
@@ -164,7 +164,7 @@ def read_swept(path: Path) -> SweepStudy:
 def load_swept(path: Path) -> SweepStudy:
     """Read a study's file with its ``[sweep]``, if any, and check each of its points.
 
-    ConfigError, a line each: ``FILE:LINE: key: what is wrong; what to do``.
+    Raises ConfigError, one line per problem: ``FILE:LINE: key: what is wrong; what to do``.
     """
     raw, source = load_toml(path)
     section = raw.pop("sweep", None)
@@ -178,29 +178,29 @@ def load_swept(path: Path) -> SweepStudy:
     places = _places(sweep, raw, source)
     points = tuple(_points(sweep, _Values(source, places, _folders(path, raw))))
     stands = (*((location_of(key), place) for key, place in places.items()), *_made(places, raw))
-    swept = SweepStudy(path.absolute(), raw, replace(source, stands_for=stands), points, is_sweep=True)
+    swept = SweepStudy(path.absolute(), raw, replace(source, written_at=stands), points, is_sweep=True)
     require_all(swept, lambda _, point: swept.at(point))
     return swept
 
 
 def require_all(swept: SweepStudy, make: Callable[[int, Point], object]) -> None:
-    """Try each point; ConfigError, a line each, of what cannot be: at a key of the sweep, or with its point."""
-    said: dict[str, str] = {}
+    """Try each point; raise ConfigError with one line per problem, at a key of the sweep or with its point."""
+    problems: dict[str, str] = {}
     for number, point in enumerate(swept.points):
         try:
             make(number, point)
         except ConfigError as error:
             at = ", ".join(f"{key} = {toml(value)}" for key, value in point.items())
             for line in str(error).splitlines():
-                said.setdefault(line, f"{line} (where {at})" if at and ": sweep." not in line else line)
-        if len(said) >= MOST_SAID:
+                problems.setdefault(line, f"{line} (with {at})" if at and ": sweep." not in line else line)
+        if len(problems) >= MOST_PROBLEMS:
             break
-    if said:
-        raise ConfigError("\n".join(list(said.values())[:MOST_SAID]))
+    if problems:
+        raise ConfigError("\n".join(list(problems.values())[:MOST_PROBLEMS]))
 
 
 def location_of(key: str) -> Location:
-    """Where a dotted key stands in a study's file: the keys of ``[cell_with]`` and of a loop have dots of their own."""
+    """Return the location of a dotted key in a study's file: keys of ``[cell_with]`` and of a loop contain dots."""
     root, *rest = key.split(".")
     if root == "cell_with" and rest:
         return (root, ".".join(rest))
@@ -210,18 +210,18 @@ def location_of(key: str) -> Location:
 
 
 def put(raw: dict[str, Any], key: str, value: Any) -> None:
-    """Set a dotted key of a study's tables, which are made where they are not there."""
+    """Set a dotted key of a study's tables, and make missing tables."""
     *tables, last = location_of(key)
     inner: Any = raw
     for name in tables:
         inner = inner.setdefault(name, {})
         if not isinstance(inner, dict):
-            raise ConfigError(f"{key}: {name!r} is no section; mend the sweep's key")
+            raise ConfigError(f"{key}: {name!r} is not a section; correct the sweep's key")
     inner[last] = value
 
 
 def _places(sweep: SweepSection, raw: Mapping[str, Any], source: TomlSource) -> dict[str, Location]:
-    """Where each swept key is written. ConfigError for one that is swept twice, or that no case can have."""
+    """Return the location of each swept key; raise ConfigError for one that is repeated or cannot be swept."""
     places: dict[str, Location] = {}
     loops = list(raw.get("controllers", ())) if isinstance(raw.get("controllers", {}), Mapping) else []
     for number, group in enumerate(sweep.group):
@@ -230,16 +230,16 @@ def _places(sweep: SweepSection, raw: Mapping[str, Any], source: TomlSource) -> 
             if key in places:
                 raise ConfigError(source.error(place, "is swept by another group, too; keep one of both"))
             if key in FIXED or not all(key.split(".")):
-                raise ConfigError(source.error(place, "no case has its own; sweep a key below it, or another"))
+                raise ConfigError(source.error(place, "is the same for all cases; sweep a key below it, or another"))
             if key.startswith("controllers.") and (name := key.split(".")[1]) not in loops:
-                problem = f"the study has no loop {name!r}, only {', '.join(loops) or 'none'}; mend the name"
+                problem = f"the study has no loop {name!r}, only {', '.join(loops) or 'none'}; correct the name"
                 raise ConfigError(source.error(place, problem))
             places[key] = place
     return places
 
 
 def _made(places: Mapping[str, Location], raw: Mapping[str, Any]) -> Iterator[tuple[Location, Location]]:
-    """Sections that are there for a swept key alone, and where that is written."""
+    """Yield sections that exist only for a swept key, with the location of that key."""
     for key, place in places.items():
         *tables, _ = location_of(key)
         inner: Any = raw
@@ -251,25 +251,25 @@ def _made(places: Mapping[str, Location], raw: Mapping[str, Any]) -> Iterator[tu
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """The values of keys, and where each key is written."""
+    """The values of keys, and the location of each key."""
 
     source: TomlSource
     places: Mapping[str, Location]
     folders: Mapping[str, Path]
-    """By root of a key, the folder from which the file that it ends in counts its paths; "": the study's."""
+    """Base folder of relative paths, by the root of a key; "": the study's."""
 
     def error(self, key: str, problem: str) -> ConfigError:
         return ConfigError(self.source.error(self.places[key], problem))
 
     def listed(self, key: str, axis: AxisSection) -> list[Any]:
-        """Those that are known without a draw. ConfigError."""
+        """Return values that need no draw; raise ConfigError."""
         if axis.values is not None:
             return list(axis.values)
         if axis.files is not None:
             here = self.folders[""]
             found = sorted(path for path in here.glob(axis.files) if path.is_file())
             if not found:
-                raise self.error(key, f"{axis.files}: no file is there; mend the pattern")
+                raise self.error(key, f"{axis.files}: no file fits; correct the pattern")
             base = self.folders.get(key.split(".", maxsplit=1)[0], here)
             return [Path(os.path.relpath(path, base)).as_posix() for path in found]
         count = axis.count or 0
@@ -277,24 +277,24 @@ class _Values:
         return [float(value) for value in even]
 
     def of_group(self, group: GroupSection, rng: np.random.Generator) -> list[Point]:
-        """The points of one group. ConfigError."""
+        """Return the points of one group; raise ConfigError."""
         if group.draws is not None:
             return self.drawn(group, group.draws, rng)
         for key, axis in group.over.items():
             if axis.kind in {*SPREAD, "numbers_from"}:
-                raise self.error(key, f'{axis.kind} is drawn; say how = "drawn" or "latin", and draws')
+                raise self.error(key, f'{axis.kind} needs draws; set how = "drawn" or "latin", and draws')
         columns = {key: self.listed(key, axis) for key, axis in group.over.items()}
         if group.how == "crossed":
             return [dict(zip(columns, values, strict=True)) for values in itertools.product(*columns.values())]
         first = len(next(iter(columns.values())))
         for key, values in columns.items():
             if len(values) != first:
-                problem = f"has {len(values)} values, and the first of these zipped keys {first}; give as many to each"
+                problem = f"has {len(values)} values, and the first zipped key has {first}; give each the same number"
                 raise self.error(key, problem)
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
     def drawn(self, group: GroupSection, draws: int, rng: np.random.Generator) -> list[Point]:
-        """Draws of all keys, from (draws, keys) even numbers in [0, 1)."""
+        """Draw all keys, from (draws, keys) uniform numbers in [0, 1)."""
         even = rng.random((draws, len(group.over)))
         if group.how == "latin":
             from scipy.stats import qmc
@@ -316,7 +316,7 @@ def _points(sweep: SweepSection, values: _Values) -> Iterator[Point]:
     groups = [values.of_group(group, np.random.default_rng([sweep.seed, k])) for k, group in enumerate(sweep.group)]
     count = math.prod(len(group) for group in groups)
     if count > MOST_POINTS:
-        problem = f"has {count} points; at most {MOST_POINTS}: take fewer values"
+        problem = f"has {count} points; at most {MOST_POINTS} are allowed: use fewer values"
         raise ConfigError(values.source.error(("sweep",), problem))
     twice = {key for group in sweep.group for key, axis in group.over.items() if axis.pair}
     for chosen in itertools.product(*groups):
@@ -330,7 +330,7 @@ def _folders(path: Path, raw: Mapping[str, Any]) -> dict[str, Path]:
 
 
 def _spread(axis: AxisSection, even: FloatArray) -> FloatArray:
-    """(n,) values of a distribution from (n,) even numbers: by the inverse of what accumulates of it."""
+    """Return (n,) values of a distribution from (n,) uniform numbers, by the inverse of its cumulative function."""
     from scipy.special import ndtri
 
     if axis.uniform is not None:

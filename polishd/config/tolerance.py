@@ -1,4 +1,4 @@
-"""The drawing's tolerances: a line of the file each, made into what a surface is judged by (docs/tolerance.md)."""
+"""The drawing's tolerances: each ``[[tolerance]]`` becomes the lines that a surface must meet (docs/tolerance.md)."""
 
 from __future__ import annotations
 
@@ -27,46 +27,46 @@ GOES_WITH = {
     "exponent": ("psd_nm2_mm2",),
     "wavelength_nm": ("iso10110",),
 }
-"""Keys that say more of a figure, and of which."""
+"""Keys that refine a figure, and the figures that they refine."""
 _NUMBER = r"(\d+(?:[.,]\d+)?|-)"
 _FORM = re.compile(rf"(?:3/\s*)?{_NUMBER}\s*(?:\(\s*{_NUMBER}\s*(?:/\s*{_NUMBER}\s*)?\))?")
 _RMS = re.compile(rf"RMS([tia])\s*<\s*{_NUMBER}")
-_EXAMPLE = '"3/200(50/20)", with "-" for what has no limit, and "RMSi < 5" after a ";"'
+_EXAMPLE = '"3/200(50/20)", with "-" for no limit, and "RMSi < 5" after a ";"'
 
 
 class ToleranceSection(ConfigSection):
     """One line of the drawing: a figure in the clear aperture with its limit.
 
-    A part is accepted when all lines hold.
+    A part is accepted when it meets all lines.
     """
 
     rms_nm: Positive | None = None
-    """Most RMS about the mean."""
+    """Largest RMS about the mean."""
     pv_nm: Positive | None = None
-    """Most peak to valley."""
+    """Largest peak to valley."""
     slope_rms_urad: Positive | None = None
-    """Most RMS of the slope's magnitude, over `integration_mm`. [urad]"""
+    """Largest RMS of the slope's magnitude, over `integration_mm`. [urad]"""
     slope_max_urad: Positive | None = None
     """Largest magnitude of the slope, over `integration_mm`. [urad]"""
     psd_nm2_mm2: Positive | None = None
-    """A of the upper line `A / f^exponent` of the radially averaged two-dimensional PSD, f in 1/mm. [nm^2 mm^2]"""
+    """A of the limit `A / f^exponent` of the radially averaged two-dimensional PSD, f in 1/mm. [nm^2 mm^2]"""
     iso10110: Text | None = None
-    """The form tolerance as ISO 10110-5 writes it, in nm of surface: `3/A(B/C)`, `-` for what has no limit, and RMSt,
-    RMSi or RMSa after it: `3/200(50/-); RMSi < 5`."""
+    """The form tolerance in the notation of ISO 10110-5, in nm of surface: `3/A(B/C)`, `-` for no limit, and RMSt, RMSi
+    or RMSa after it: `3/200(50/-); RMSi < 5`."""
     periods_above_mm: Positive | None = None
-    """Only periods above this count; left out: all shorter ones, too."""
+    """Only periods above this count. Left out: all shorter ones count, too."""
     periods_below_mm: Positive | None = None
-    """Only periods below this count; left out: all longer ones, too."""
+    """Only periods below this count. Left out: all longer ones count, too."""
     integration_mm: Positive | None = None
-    """Distance of the two samples whose difference a slope is."""
+    """Distance of the two samples of a slope."""
     exponent: Annotated[float, Field(ge=0, le=10)] | None = None
-    """Of the PSD's upper line; left out: 0, a level line. [1]"""
+    """Exponent of the PSD's limit. Left out: 0, a constant limit. [1]"""
     wavelength_nm: Positive | None = None
-    """`iso10110` counts fringe spacings, of half this wavelength, as drawings before 2015 do; left out: nm."""
+    """Unit of `iso10110`: fringe spacings of half this wavelength, as in drawings before 2015. Left out: nm."""
 
     @property
     def lines(self) -> tuple[ToleranceLine, ...]:
-        """What a surface is judged by: one line, or one for each limit of `iso10110`."""
+        """Tolerance lines of a surface: one line, or one for each limit of `iso10110`."""
         if self.iso10110 is not None:
             scale = 1.0 if self.wavelength_nm is None else self.wavelength_nm / 2
             return tuple(ToleranceLine(figure, limit * scale) for figure, limit in notation(self.iso10110).items())
@@ -79,13 +79,13 @@ class ToleranceSection(ConfigSection):
         known = (*FIGURES, "iso10110")
         named = [key for key in known if getattr(self, key) is not None]
         if len(named) != 1:
-            there = f"there are {', '.join(named)}" if named else "there is none"
+            there = f"has {', '.join(named)}" if named else "has none"
             raise ValueError(
-                f"a line of [[tolerance]] has one of {', '.join(known)}: {there}; one header for each line"
+                f"each [[tolerance]] has one of {', '.join(known)}; this one {there}. Write one header for each line"
             )
         for key, figures in GOES_WITH.items():
             if getattr(self, key) is not None and named[0] not in figures:
-                raise ValueError(f"{key}: goes with {' or '.join(figures)}, not with {named[0]}; remove it")
+                raise ValueError(f"{key}: needs {' or '.join(figures)}, not {named[0]}; remove it")
         self._require_whole(named[0])
         if self.iso10110 is not None:
             notation(self.iso10110)
@@ -94,36 +94,36 @@ class ToleranceSection(ConfigSection):
     def _require_whole(self, figure: str) -> None:
         above, below = self.periods_above_mm, self.periods_below_mm
         if figure.startswith("slope") and self.integration_mm is None:
-            raise ValueError(f"integration_mm: is missing; {figure} is another figure over another length: add it")
+            raise ValueError(f"integration_mm: is missing; {figure} depends on it: add it")
         if figure == "psd_nm2_mm2" and (above is None or below is None):
             missing = "periods_above_mm" if above is None else "periods_below_mm"
-            raise ValueError(f"{missing}: is missing; a PSD's line goes from one period to another: add both")
+            raise ValueError(f"{missing}: is missing; a PSD's limit needs two periods: add both")
         if above is not None and below is not None and above >= below:
-            raise ValueError(f"periods_below_mm: {below:g} leaves no period above {above:g}; exchange or mend them")
+            raise ValueError(f"periods_below_mm: {below:g} leaves no period above {above:g}; exchange or correct them")
 
 
 class ToleranceFile(TomlDocument):
-    """A drawing's lines in a file of their own."""
+    """A file with a drawing's tolerance lines."""
 
     tolerance: Annotated[tuple[ToleranceSection, ...], BeforeValidator(as_tuple), Field(min_length=1)]
-    """The lines: at least one."""
+    """The lines; at least one."""
 
 
 def load_tolerance(path: Path) -> tuple[ToleranceLine, ...]:
-    """The lines of a file that holds ``[[tolerance]]`` sections and nothing else; ConfigError with file and line."""
+    """Read a file of ``[[tolerance]]`` sections only; raise ConfigError with file and line."""
     raw, source = load_toml(path)
     return tuple(line for section in ToleranceFile.of(raw, source).tolerance for line in section.lines)
 
 
 def lines_of(job: JobSection, drawing: tuple[ToleranceLine, ...]) -> tuple[ToleranceLine, ...]:
-    """What a part is judged by: the one line of the job's short form, or the drawing's."""
+    """Return a part's tolerance lines: the one line of the job's short form, or the drawing's lines."""
     if job.tolerance_nm is None:
         return drawing
     return (ToleranceLine("rms", job.tolerance_nm, job.tolerance_period_mm),)
 
 
 def notation(text: str) -> dict[Figure, float]:
-    """The limits in a form tolerance of ISO 10110-5, by figure, as it counts; ValueError where it is none."""
+    """Return the limits by figure of a form tolerance of ISO 10110-5, in its unit; raise ValueError if it is none."""
     first, *rest = (part.strip() for part in text.split(";"))
     found: dict[Figure, str | None] = {}
     if form := _FORM.fullmatch(first):
@@ -134,7 +134,7 @@ def notation(text: str) -> dict[Figure, float]:
     for part in rest:
         rms = _RMS.fullmatch(part)
         if rms is None or named[rms[1]] in found:
-            raise ValueError(f"iso10110: {text!r} is no form tolerance of ISO 10110-5; write {_EXAMPLE}")
+            raise ValueError(f"iso10110: {text!r} is not a form tolerance of ISO 10110-5; write {_EXAMPLE}")
         found[named[rms[1]]] = rms[2]
     limits = {figure: float(value.replace(",", ".")) for figure, value in found.items() if value not in {None, "-"}}
     if not limits or min(limits.values()) <= 0:

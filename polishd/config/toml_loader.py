@@ -1,4 +1,4 @@
-"""A whole file: one TOML loader for a cell, a study, an instrument's profile and the simulator."""
+"""Load TOML files into config models; each error names file, line and key."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from polishd.config.renamed_keys import renamed_key
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.util.files import toml_text
 
-# Where a key stands in a TOML text, and what is wrong with it: ``FILE:LINE: section.key: ...``.
+# Location of a key in a TOML text, and its error: ``FILE:LINE: section.key: ...``.
 
 Location = tuple[str | int, ...]
-"""Names from the outermost table to the key; the place in the list, from 0, where one is a list of tables."""
+"""Names from the outermost table to the key; in a list of tables the index, from 0."""
 
 _FAULTS = {
     "extra_forbidden": "unknown key",
@@ -42,34 +42,34 @@ _FAULTS = {
     "less_than_equal": "{given!r} is out of range; must be at most {le}",
     "too_long": "has {actual_length} entries; must have {max_length}",
     "too_short": "has {actual_length} entries; must have {min_length}",
-    "float_type": "must be a number, not {kind}; mend it",
-    "int_type": "must be a whole number, not {kind}; mend it",
-    "int_from_float": "must be a whole number, not {kind}; mend it",
-    "string_type": 'must be a string in "quotes", not {kind}; mend it',
-    "bool_type": "must be true or false, not {kind}; mend it",
-    "tuple_type": "must be a list [...], not {kind}; mend it",
-    "list_type": "must be a list [...], not {kind}; mend it",
-    "dict_type": "must be a table, not {kind}; mend it",
-    "model_type": "must be a section of its own, [{key}], not {kind}; mend it",
+    "float_type": "must be a number, not {kind}",
+    "int_type": "must be a whole number, not {kind}",
+    "int_from_float": "must be a whole number, not {kind}",
+    "string_type": 'must be a string in "quotes", not {kind}',
+    "bool_type": "must be true or false, not {kind}",
+    "tuple_type": "must be a list [...], not {kind}",
+    "list_type": "must be a list [...], not {kind}",
+    "dict_type": "must be a table, not {kind}",
+    "model_type": "must be a section, [{key}], not {kind}",
 }
-"""What to say of a finding of pydantic, by its type; of any other, its own message."""
+"""Messages by pydantic's error type. Any other error keeps pydantic's message."""
 
 
 @dataclass(frozen=True, slots=True)
 class TomlSource:
-    """The text that a configuration came from, kept to say where something stands."""
+    """The text of a configuration, used to locate errors."""
 
     file: str
     text: str = field(repr=False)
     overrides: frozenset[str] = frozenset()
     """Dotted keys that came from the command line instead."""
     included: tuple[TomlSource, ...] = ()
-    """Fragments that the text includes; a key that one of them has comes from the last of those."""
-    stands_for: tuple[tuple[Location, Location], ...] = ()
-    """Keys whose values were written elsewhere, and where: a tool's table stands for some of other sections."""
+    """Included fragments. A key comes from the last fragment that has it."""
+    written_at: tuple[tuple[Location, Location], ...] = ()
+    """Keys whose values are written elsewhere, and where: a tool's table replaces keys of other sections."""
 
     def where(self, key: Location) -> str:
-        """``FILE:LINE`` of the key, of its section where it is missing, or ``override`` for one from outside."""
+        """Return ``FILE:LINE`` of the key, or of its section if it is missing; ``override`` for an override."""
         key = self._written(key)
         dotted = _dotted(key)
         if any(dotted == name or name.startswith(f"{dotted}.") for name in self.overrides):
@@ -82,12 +82,12 @@ class TomlSource:
         return f"{self.file}:1"
 
     def error(self, key: Location, problem: str) -> str:
-        """One line: where, which key, what."""
+        """Return one line with location, key and problem."""
         return f"{self.where(key)}: {_dotted(self._written(key))}: {problem}"
 
     def _written(self, key: Location) -> Location:
-        """The key as its writer knows it."""
-        return next((there + key[len(here) :] for here, there in self.stands_for if key[: len(here)] == here), key)
+        """Return the key as it is written in the file."""
+        return next((there + key[len(here) :] for here, there in self.written_at if key[: len(here)] == here), key)
 
 
 def _dotted(key: Location) -> str:
@@ -96,9 +96,9 @@ def _dotted(key: Location) -> str:
 
 @functools.lru_cache(maxsize=16)
 def key_lines(text: str) -> Mapping[Location, int]:
-    """1-based line of each table header and key of a TOML text (inside a value: the line on which its key stands).
+    """Return the 1-based line of each table header and key of a TOML text (inside a value: the line of its key).
 
-    A header or a value cannot be read before its last line is there: what tomllib can read alone is one of them.
+    A header or a value can be parsed only when its last line is there: a text that tomllib can parse is one of them.
     """
     found: dict[Location, int] = {}
     table: Location = ()
@@ -120,7 +120,7 @@ def key_lines(text: str) -> Mapping[Location, int]:
 
 
 def _header(value: Any, found: Mapping[Location, int]) -> Location:
-    """The table that a header opens; in a list of tables the last one, or with ``[[...]]`` the next."""
+    """Return the table that a header opens; in a list of tables the last one, or with ``[[...]]`` the next."""
     table: Location = ()
     while value:
         (name, value), is_next = next(iter(value.items())), False
@@ -141,20 +141,20 @@ def _note(value: Mapping[str, Any], table: Location, line: int, found: dict[Loca
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?`` or a full stop."""
+    """Return ``; did you mean 'x'?`` or a full stop."""
     close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.6)
     return f"; did you mean {close[0]!r}?" if close else "."
 
 
 def join_words(names: Iterable[str]) -> str:
-    """``'a', 'b'``, or ``none`` for nothing."""
+    """Return ``'a', 'b'``, or ``none`` for nothing."""
     return ", ".join(repr(name) for name in sorted(names)) or "none"
 
 
 def validation_problems(
     error: ValidationError, model: type[BaseModel], source: TomlSource, section: Location = ()
 ) -> list[str]:
-    """One line per finding of pydantic, in the order of the file."""
+    """Return one line for each pydantic error, in the order of the file."""
     lines = []
     for found in error.errors(include_url=False):
         key, kind, owner = _follow(model, found["loc"])
@@ -162,18 +162,18 @@ def validation_problems(
             r"Value error, ([a-z][a-z0-9_]*): ", found["msg"]
         )  # a section's own check names the key at fault
         key = (*section, *key, *(own.groups() if own else ()))
-        lines.append(source.error(key, _say(found, key, kind, owner)))
+        lines.append(source.error(key, _message(found, key, kind, owner)))
     return sorted(dict.fromkeys(lines), key=_line)
 
 
-def _line(said: str) -> int:
-    """Of what was said; 0 for an override."""
-    place = re.search(r":(\d+): ", said)
+def _line(message: str) -> int:
+    """Return the line number of a message; 0 for an override."""
+    place = re.search(r":(\d+): ", message)
     return int(place[1]) if place else 0
 
 
 def toml_type(kind: Any) -> Any:
-    """The type without what Annotated adds, and without None."""
+    """Return the type without Annotated and without None."""
     if get_origin(kind) is Annotated:
         return toml_type(get_args(kind)[0])
     kinds = [item for item in get_args(kind) if item is not NoneType]
@@ -181,18 +181,18 @@ def toml_type(kind: Any) -> Any:
 
 
 def variants(kind: Any) -> dict[str, type[BaseModel]]:
-    """The models of a section that is one of several kinds, by tag."""
+    """Return the models by tag of a section that has several kinds."""
     kinds = [(get_args(item)[0], tag) for item in get_args(kind) for tag in getattr(item, "__metadata__", ())]
     return {tag.tag: model for model, tag in kinds if isinstance(tag, Tag)}
 
 
 def section_of(kind: Any) -> type[BaseModel] | None:
-    """The model where the type is one of a section."""
+    """Return the model if the type is a section."""
     return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
 
 
 def _follow(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[Location, Any, type[BaseModel] | None]:
-    """The key of the file that pydantic means, the type of its value, and the section that it stands in."""
+    """Return the key of the file for pydantic's location, the type of its value, and its section."""
     key: Location = ()
     kind: Any = model
     owner: type[BaseModel] | None = None
@@ -207,7 +207,7 @@ def _follow(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[Location,
     return key, kind, owner
 
 
-def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseModel] | None) -> str:
+def _message(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseModel] | None) -> str:
     fault, message, given, context = found["type"], found["msg"], found.get("input"), found.get("ctx", {})
     if fault == "missing" and isinstance(key[-1], int):
         return f"has too few entries: {list(given or ())}; add the others"
@@ -218,17 +218,17 @@ def _say(found: Mapping[str, Any], key: Location, kind: Any, owner: type[BaseMod
     if fault == "value_error":
         return re.sub(r"^Value error, (?:[a-z][a-z0-9_]*: )?", "", message)
     if fault not in _FAULTS:
-        return f"{message[:1].lower()}{message[1:]}; mend it"
-    said = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)
+        return f"{message[:1].lower()}{message[1:]}; correct it"
+    text = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)
     if fault == "extra_forbidden":
         if new := renamed_key(_dotted(key)):
             return f"was renamed: write {new}"
         known = owner.model_fields if owner else ()
-        return f"{said}{did_you_mean(str(key[-1]), known)} Known here: {join_words(known)}"
+        return f"{text}{did_you_mean(str(key[-1]), known)} Known here: {join_words(known)}"
     if fault == "literal_error":
         near = re.findall(r"'([^']*)'", context["expected"]) if isinstance(given, str) else []
-        return said + did_you_mean(str(given), near)
-    return said
+        return text + did_you_mean(str(given), near)
+    return text
 
 
 def _kind(value: Any) -> str:
@@ -242,11 +242,11 @@ def _kind(value: Any) -> str:
 
 
 MOST_LEVELS = 32
-"""Of lists and tables inside one another, in a file."""
+"""Largest nesting depth of lists and tables in a file."""
 
 
 class TomlDocument(ConfigSection):
-    """What all files share: where they lie, and where each of their keys stands."""
+    """Base of all files: their path, and the location of each key."""
 
     _path: Path = PrivateAttr(default=Path("none.toml"))
     _source: TomlSource = PrivateAttr(default=TomlSource("none.toml", ""))
@@ -254,7 +254,10 @@ class TomlDocument(ConfigSection):
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], source: TomlSource) -> Self:
-        """The values of a file; ConfigError, a line each: ``FILE:LINE: section.key: what is wrong; what to do``."""
+        """Validate a file's values.
+
+        Raises ConfigError, one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
+        """
         try:
             made = cls.model_validate(raw)
         except ValidationError as error:
@@ -264,29 +267,29 @@ class TomlDocument(ConfigSection):
 
     @property
     def source(self) -> TomlSource:
-        """The text it came from: says where a key stands, for errors."""
+        """The file's text, used to locate errors."""
         return self._source
 
     @property
     def base_dir(self) -> Path:
-        """Folder that relative paths start from."""
+        """Base folder of relative paths."""
         return self._path.parent
 
     def resolve(self, path: str) -> Path:
-        """A path of the file, absolute."""
+        """Return a path of the file as an absolute path."""
         return self.base_dir / Path(path).expanduser()
 
     def relative(self, path: Path) -> str:
-        """A path as the file would name it: from its own folder."""
+        """Return a path relative to the file's folder."""
         return Path(os.path.relpath(path.absolute(), self.base_dir)).as_posix()
 
     def error(self, key: str, problem: str) -> ConfigError:
-        """A ConfigError about a dotted key, with its place: for checks that need more than this file."""
+        """Return a ConfigError about a dotted key, with its location, for checks that need more than this file."""
         return ConfigError(self._source.error(tuple(key.split(".")), problem))
 
     @contextmanager
     def blame(self, key: str) -> Iterator[None]:
-        """What cannot be computed in this block is the file's fault, and is said with the place of this dotted key."""
+        """Turn errors of the computation in this block into a ConfigError at this dotted key."""
         try:
             yield
         except ConfigError:
@@ -296,31 +299,31 @@ class TomlDocument(ConfigSection):
 
 
 def load_toml(path: Path) -> tuple[dict[str, Any], TomlSource]:
-    """A TOML file's values, and the text that says where they stand; ConfigError with file and line."""
+    """Read a TOML file: its values, and its source for errors. Raise ConfigError with file and line."""
     return loads_toml(toml_text(path), path)
 
 
 def loads_toml(text: str, path: Path) -> tuple[dict[str, Any], TomlSource]:
-    """The same of a text that stood in that file."""
+    """Read the text of a TOML file, as ``load_toml``."""
     try:
         raw = tomllib.loads(text)
         if deep := _too_deep(raw):
-            raise ConfigError(f"{path}: {deep} is nested more than {MOST_LEVELS} levels deep; no key of polishd is")
+            raise ConfigError(f"{path}: {deep} is nested more than {MOST_LEVELS} levels deep; polishd has no such key")
         return raw, TomlSource(str(path), text)
     except RecursionError:
         raise ConfigError(
-            f"{path}: lists or tables are nested more than {MOST_LEVELS} levels deep; no key of polishd is"
+            f"{path}: lists or tables are nested more than {MOST_LEVELS} levels deep; polishd has no such key"
         ) from None
-    except tomllib.TOMLDecodeError as error:  # which says "... (at line 3, column 5)" or "(at end of document)"
+    except tomllib.TOMLDecodeError as error:  # its text ends in "(at line 3, column 5)" or "(at end of document)"
         what, _, place = str(error).partition(" (at ")
         line = place.split()[1].rstrip(",") if place.startswith("line") else str(text.count("\n") + 1)
-        raise ConfigError(f"{path}:{line}: this is not TOML: {what}; mend that line") from error
-    except ValueError as error:  # a whole number of more than 4300 digits, which Python does not read
+        raise ConfigError(f"{path}:{line}: this is not TOML: {what}; correct that line") from error
+    except ValueError as error:  # a whole number of more than 4300 digits
         raise ConfigError(f"{path}: a value cannot be read: {error}; write a shorter one") from error
 
 
 def _too_deep(raw: Mapping[str, Any]) -> str:
-    """The key of the first level below which there are too many; empty where there is none."""
+    """Return the key of a value that is nested too deep; empty if there is none."""
     level: list[tuple[str, Any]] = list(raw.items())
     for _ in range(MOST_LEVELS):
         inner = [(key, value) for key, value in level if isinstance(value, (dict, list))]
@@ -328,22 +331,22 @@ def _too_deep(raw: Mapping[str, Any]) -> str:
     return next((key for key, value in level if isinstance(value, (dict, list))), "")
 
 
-# What keys mean, as their models say it: for the reference, and for the cells that ``polishd init`` writes.
+# Descriptions of keys from the docstrings of their models, for the reference and for ``polishd init``.
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """The docstring below each field of the model and of those that it is made from."""
-    told: dict[str, str] = {}
+    """Return the docstring below each field of the model and of its base models."""
+    docs: dict[str, str] = {}
     for made_of in reversed(model.__mro__):
         if issubclass(made_of, BaseModel) and made_of is not BaseModel:
             body = ast.parse(textwrap.dedent(inspect.getsource(made_of))).body[0].body  # type: ignore[attr-defined]
             for field, below in itertools.pairwise(body):
                 match field, below:
                     case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                        told[name] = " ".join(text.split())
-    return told
+                        docs[name] = " ".join(text.split())
+    return docs
 
 
 def in_words(meaning: str) -> str:
-    """Without the unit at its end, which the reference has in a column, and without the marks of its text."""
+    """Return the description without its unit at the end, which the reference has in a column, and without markup."""
     return re.sub(r" \[[^]]+\]$", "", meaning).replace("``", "`")

@@ -1,6 +1,6 @@
-"""``polishd run``: the daemons of one cell or several in one process, which share its signals and its priority.
+"""``polishd run``: the daemons of one or several cells in one process, which share its signals and its priority.
 
-Each cell has a state folder, lock, journal, socket, log, compute worker and outcome of its own.
+Each cell has a separate state folder, lock, journal, socket, log, compute worker and outcome.
 """
 
 from __future__ import annotations
@@ -60,40 +60,40 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class CellRun:
-    """A cell to run, and who watches."""
+    """A cell to run, with its options."""
 
     config: CellConfig
     hooks: Hooks
     show: Callable[[Event], None] = lambda _: None
-    """Is told each event, for a person."""
+    """Callback for each event, to display it."""
     queue: bool = False
-    """Work the queue, not the job of the cell's file, ..."""
+    """Run the queue, not the job of the cell's file, ..."""
     until_empty: bool = False
     """... until it is empty."""
     record: Path | None = None
-    """File, or folder, that all which passes on its links goes to."""
+    """File or folder for the recording of all messages on its links."""
 
 
 @dataclass(slots=True)
 class ShutdownRequest:
-    """SIGTERM and SIGINT are for all cells of the process, for those too that are not quite there yet."""
+    """SIGTERM and SIGINT stop all cells of the process, including cells that start later."""
 
     supervisor: SystemdNotifier
-    asked: bool = False
+    requested: bool = False
     daemons: list[JobRunner | DamagedCell] = field(default_factory=list)
 
-    def ask(self) -> None:
-        """Stop all."""
-        self.asked = True
+    def request(self) -> None:
+        """Stop all cells."""
+        self.requested = True
         self.supervisor.stopping()
         for daemon in self.daemons:
             daemon.stop()
 
     @contextmanager
-    def telling(self, daemon: JobRunner | DamagedCell) -> Iterator[None]:
-        """That one is to be stopped, too."""
+    def stopping(self, daemon: JobRunner | DamagedCell) -> Iterator[None]:
+        """Stop that daemon as well on a request during this block, or at once after an earlier request."""
         self.daemons.append(daemon)
-        if self.asked:
+        if self.requested:
             daemon.stop()
         try:
             yield
@@ -102,10 +102,10 @@ class ShutdownRequest:
 
     @contextmanager
     def signals(self) -> Iterator[None]:
-        """Signals ask."""
+        """Let SIGTERM and SIGINT request the stop during this block."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self.ask)
+            loop.add_signal_handler(number, self.request)
         try:
             yield
         finally:
@@ -115,52 +115,52 @@ class ShutdownRequest:
 
 @dataclass(frozen=True, slots=True)
 class _Ready:
-    """A cell of which all is read and nothing is open but its state folder, which ``kept`` gives back."""
+    """A cell whose files are read; only its state folder is locked, which ``kept`` releases."""
 
     run: CellRun
     work: tuple[Sequence[Recipe], Sequence[Program]] | None
-    """Of the cell's own job, of each tool; None where a queue is worked."""
+    """Recipes and programs of the cell's job, one for each tool; None if a queue is run."""
     cell: Cell
     notifiers: Sequence[Notifier]
     journal: Journal | JournalDamage
-    """JournalDamage: the cell comes up held, and none of its devices is opened."""
+    """JournalDamage: the cell starts held and opens no device."""
     kept: ExitStack
     context: Context
-    """Its tasks and threads run in it; its log knows its lines by it."""
+    """Context of its tasks and threads, by which its log selects its lines."""
 
 
 async def run_cells(cells: Sequence[CellRun], *, holds: bool = True) -> list[dict[str, Any] | Exception]:
     """Run the daemons of all cells to the ends of their jobs; one that ends does not end the others.
 
-    Without ``holds`` a daemon ends where it would wait for a person. The summaries, as they are written to the run
-    folders; an error in place of one that ended before any of its devices was opened.
+    Without ``holds`` a daemon ends where it would wait for an operator. Return the summaries, as written to the run
+    folders, or the error of a daemon that ended before it opened a device.
 
-    Raises PolishdError where any of the cells cannot begin; nothing of any is opened then.
+    Raises PolishdError if one of the cells cannot begin; no device of any cell is opened then.
     """
     with ExitStack() as kept:
         ready = []
         for run in cells:
             context = copy_context()
             ready.append(context.run(_made_ready, run, context, kept.enter_context(ExitStack()), holds=holds))
-        stopping = ShutdownRequest(SystemdNotifier(len(ready)))
-        with loop_first(), stopping.signals():
+        shutdown = ShutdownRequest(SystemdNotifier(len(ready)))
+        with loop_first(), shutdown.signals():
             async with asyncio.TaskGroup() as group:
-                tasks = [group.create_task(_run(one, stopping, holds=holds), context=one.context) for one in ready]
-                feeding = group.create_task(stopping.supervisor.feed(partial(_written, ready)), name="watchdog")
+                tasks = [group.create_task(_run(one, shutdown, holds=holds), context=one.context) for one in ready]
+                feeding = group.create_task(shutdown.supervisor.feed(partial(_written, ready)), name="watchdog")
                 await asyncio.wait(tasks)
                 feeding.cancel()
     return [task.result() for task in tasks]
 
 
 def _written(cells: Sequence[_Ready], within_s: float) -> bool:
-    """Whether no journal has waited for longer than that for its disk."""
+    """Return whether no journal has waited longer than that for its disk."""
     return all(one.journal.unsaved_s < within_s for one in cells if not isinstance(one.journal, JournalDamage))
 
 
 def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool) -> _Ready:
     config, hooks = run.config, run.hooks
     work = None if run.queue else _own_work(config, hooks)
-    if run.queue and config.profile_path is not None:  # where it names none, each job names its own
+    if run.queue and config.profile_path is not None:  # without a profile in the cell, each job names one
         require_commissioned(config, instrument_of(config))
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
@@ -186,7 +186,7 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool)
 
 
 def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Sequence[Recipe], Sequence[Program]]:
-    """Of the job that the cell's own file describes, for each tool."""
+    """Return recipe and program of each tool of the job in the cell's file."""
     recipes = read_recipes(config, hooks)
     require_commissioned(config, recipes[0].instrument)
     require_acceptable(recipes[0])
@@ -198,63 +198,65 @@ def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Sequence[Recipe], Seque
     return recipes, programs
 
 
-async def _run(ready: _Ready, stopping: ShutdownRequest, *, holds: bool) -> dict[str, Any] | Exception:
-    """One cell to its end, which is no other's."""
+async def _run(ready: _Ready, shutdown: ShutdownRequest, *, holds: bool) -> dict[str, Any] | Exception:
+    """Run one cell to its end; return its summary or its error."""
     try:
         with ready.kept:
             if isinstance(ready.journal, JournalDamage):
-                return await _hold(ready, stopping, ready.journal)
+                return await _hold(ready, shutdown, ready.journal)
             try:
-                return await _run_job(ready, ready.journal, stopping, holds=holds)
+                return await _run_job(ready, ready.journal, shutdown, holds=holds)
             except Exception:
-                log.exception("the daemon could not begin, or not end as it should")
+                log.exception("the daemon failed at its start or its end")
                 raise
     except Exception as error:  # noqa: BLE001 - the others go on
-        stopping.supervisor.status(_name(ready), f"{_name(ready)}: ended: {error}")
+        shutdown.supervisor.status(_name(ready), f"{_name(ready)}: ended: {error}")
         return error
 
 
 def _name(ready: _Ready) -> str:
-    """Of the cell; with its file, which no other has."""
+    """Return the name of the cell with its file, which is unique."""
     return f"{ready.run.config.cell.name} ({ready.run.config.path.name})"
 
 
-async def _hold(ready: _Ready, stopping: ShutdownRequest, damage: JournalDamage) -> JournalDamage:
-    """The cell is held over its journal until it is stopped, and ends with that error."""
+async def _hold(ready: _Ready, shutdown: ShutdownRequest, damage: JournalDamage) -> JournalDamage:
+    """Hold the cell because of its journal until it is stopped; return that error."""
     log.error("%s", damage)
     cell = DamagedCell(ready.run.config, damage)
     listeners = (ready.run.hooks.on_event, ready.run.show)
-    with stopping.telling(cell):
-        hears = stopping.supervisor.hears(_name(ready))
-        await hold_damaged(ready.run.config, ready.notifiers, cell, damage, listeners=listeners, sink=hears)
+    with shutdown.stopping(cell):
+        sink = shutdown.supervisor.status_sink(_name(ready))
+        await hold_damaged(ready.run.config, ready.notifiers, cell, damage, listeners=listeners, sink=sink)
     return damage
 
 
-async def _run_job(ready: _Ready, journal: Journal, stopping: ShutdownRequest, *, holds: bool) -> dict[str, Any]:
-    """Work the cell's jobs; the summary. PolishdError where a job under way cannot go on: nothing was opened."""
+async def _run_job(ready: _Ready, journal: Journal, shutdown: ShutdownRequest, *, holds: bool) -> dict[str, Any]:
+    """Run the cell's jobs; return the summary. PolishdError if the job under way cannot go on; nothing was opened."""
     config, hooks, run = ready.run.config, ready.run.hooks, ready.run
     async with Compute() as compute:
         jobs, known = _jobs(ready, journal, compute)
         keep = recording_exit(config.state_dir, jobs.run_dir, queue=jobs.of_queue)
-        sinks = (jobs.record, keep, stopping.supervisor.hears(_name(ready)))
+        sinks = (jobs.record, keep, shutdown.supervisor.status_sink(_name(ready)))
         async with notifying(config, ready.notifiers, known, (hooks.on_event, run.show), sinks) as bus:
             jobs.bus = bus
             await jobs.resume()
             requests = QueueRequests(config, jobs.queue, jobs.added, bus.publish)
             runner = JobRunner(ready.cell, jobs, requests, bus, holds=holds, until_empty=run.until_empty)
-            with stopping.telling(runner):
+            with shutdown.stopping(runner):
                 return await _serve(config.state_dir, runner)
 
 
 def _jobs(ready: _Ready, journal: Journal, compute: Compute) -> tuple[SingleJob | QueuedJobs, dict[str, str]]:
-    """Where the jobs come from, and what notifications name of them."""
+    """Return the source of the jobs, and the job's names for notifications."""
     config, hooks = ready.run.config, ready.run.hooks
     if ready.work is None:
         make = JobMaker(config, hooks, ready.cell, compute)
         return QueuedJobs(journal, make), {"job": "", "part": "", "run_dir": ""}
     folder = run_folder(config, journal)
     jobs = SingleJob(journal, folder)
-    jobs.job = make_job(config, hooks, *ready.work, journal=journal, folder=folder, compute=compute, publish=jobs.tell)
+    jobs.job = make_job(
+        config, hooks, *ready.work, journal=journal, folder=folder, compute=compute, publish=jobs.publish
+    )
     return jobs, {"job": config.job.id, "part": config.part.id, "run_dir": str(folder.path)}
 
 
@@ -262,24 +264,24 @@ async def _serve(state_dir: Path, runner: JobRunner) -> dict[str, Any]:
     """Answer the socket until the runner ends; the cell is safe then, and the run folder has its summary."""
     async with serving(state_dir, runner.handlers, runner.bus):
         outcome, failure = await run_until_finished(runner)
-        last = runner.last_words(outcome, failure)
+        last = runner.exit_facts(outcome, failure)
         record_exit(state_dir, last)
         summary = await runner.jobs.close(last, failed=failure is not None)
-        with suppress(PolishdError):  # the journal is lost, and that was published
+        with suppress(PolishdError):  # the journal is lost, which was published
             await runner.become(DaemonState.FINISHED, summary["outcome"])
             runner.job.journal.flush()
     return summary
 
 
 def _journal(config: CellConfig, program: Program) -> Journal:
-    """The cell's journal; ConfigError where its job was begun with something else."""
+    """Return the cell's journal; ConfigError if its job was begun with other settings."""
     terms = terms_of(config, program.sha256)
     cell = Journal.of_cell(config.state_dir)
     try:
         if (other := Queue(cell.store).under_way()) is not None:
             raise ConfigError(
-                f"{config.state_dir}: the job {other.name!r} of the queue is under way; go on with it: polishd run "
-                f"{config.path} --queue; or put it aside: polishd queue remove {config.path} {other.name}"
+                f"{config.state_dir}: the job {other.name!r} of the queue is under way. Continue it with polishd run "
+                f"{config.path} --queue, or set it aside with polishd queue remove {config.path} {other.name}"
             )
         journal = cell.of_job(config.job.id, config.part.id, terms)
         require_same(config, terms, journal)

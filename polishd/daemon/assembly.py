@@ -1,4 +1,4 @@
-"""From a config and its plugins to a cell whose devices have all that their ports ask. Opens nothing."""
+"""Build cells and jobs from a config and its plugins. Opens no device."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ from polishd.util.address_claims import KeptClaims
 
 
 def build_cell(config: CellConfig, hooks: Hooks) -> Cell:
-    """The devices that the config names, not yet open; each has all that its port asks.
+    """Build the devices that the config names, not yet open; each has all members of its port.
 
     Raises:
         ConfigError: a section is wrong; names file, line and key.
-        PluginError: a device's plugin is: it raises something else, or the device lacks what the port asks.
+        PluginError: a plugin raises another error, or its device lacks a member of the port.
     """
     context = _context(config, hooks)
     devices = {name: _built(config, hooks, name, context) for name in config.devices}
@@ -67,9 +67,9 @@ def _signals(config: CellConfig, devices: Mapping[str, Device]) -> Signals:
 
 
 async def bind_part_to_devices(cell: Cell, config: CellConfig, hooks: Hooks) -> None:
-    """Devices that look at a part are built anew, for the part and the instrument of that config's job.
+    """Build the devices that depend on the part anew, for part and instrument of that config's job.
 
-    Opened where the cell is open. Errors as of ``build_cell``, and DeviceError where one does not answer.
+    They are opened if the cell is open. Errors as of ``build_cell``, and DeviceError if a device does not answer.
     """
     context = await asyncio.to_thread(_context, config, hooks)
     for name in [name for name in cell.devices if PORTS[port_of(name)].of_part]:
@@ -87,7 +87,7 @@ def _context(config: CellConfig, hooks: Hooks) -> DeviceContext:
 
 
 def build_notifiers(config: CellConfig, hooks: Hooks) -> list[Notifier]:
-    """Whoever the config wants told, each ready to send; nothing is sent. Raises as ``build_cell``."""
+    """Build the notifiers of the config, ready to send; nothing is sent. Raises as ``build_cell``."""
     found = []
     for name, section in config.notify.items():
         kind, options = notifier_options(config, name, hooks.notifiers())
@@ -107,37 +107,37 @@ def _built(config: CellConfig, hooks: Hooks, name: str, context: DeviceContext) 
         device = kind.build(options, context)
     port = PORTS[port_of(name)].protocol
     if lacks := missing_members(device, port):
-        raise _broken(config, name, who, f"{type(device).__name__} is no {port.__name__}: {'; '.join(lacks)}")
+        raise _broken(config, name, who, f"{type(device).__name__} is not a {port.__name__}: {'; '.join(lacks)}")
     return device
 
 
 @contextmanager
 def _blaming(config: CellConfig, section: str, options: Any, who: str) -> Iterator[None]:
-    """What a plugin raises as it builds from a section: a ConfigError with its key, else the plugin is at fault."""
+    """Convert an error of a plugin that builds from a section: ConfigError with its key, or PluginError."""
     try:
         yield
     except ConfigError as error:
         raise config.error(_blamed(section, options, str(error)), str(error)) from error
     except PolishdError:
         raise
-    except Exception as error:  # a plugin may raise anything at all
+    except Exception as error:  # a plugin may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise _broken(config, section, who, f"cannot be built: {reason}") from error
 
 
 def _blamed(section: str, options: Any, problem: str) -> str:
-    """The key whose value the problem quotes; the section's where it quotes none."""
+    """Return the key whose value the problem quotes, or the section."""
     quoted = (key for key, value in options if isinstance(value, str) and repr(value) in problem)
     return ".".join([section, *list(quoted)[:1]])
 
 
 def _broken(config: CellConfig, section: str, who: str, what: str) -> PluginError:
-    problem = f"{who}: {what}; mend the plugin (nothing was opened)"
+    problem = f"{who}: {what}. Correct the plugin; nothing was opened"
     return PluginError(str(config.error(f"{section}.type", problem)))
 
 
 def require_time_limits(config: CellConfig, cell: Cell) -> tuple[ActionTimeLimit, ...]:
-    """The job's chain of time limits; ConfigError with each one that is shorter than what it guards."""
+    """Return the job's chain of time limits; ConfigError with each limit that is too short."""
     graces: dict[str, float] = {}
     if cell.force_sensor is not None:
         contact = contact_limits(config)
@@ -154,9 +154,9 @@ def require_time_limits(config: CellConfig, cell: Cell) -> tuple[ActionTimeLimit
 
 
 def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program) -> None:
-    """ConfigError where the job's robot could not run a program like that one, by the word of its type's plugin.
+    """Raise ConfigError if the job's robot cannot run such a program, by the check of its device type.
 
-    Also where the lines that its driver adds to the program mean something else in the program's format.
+    Also if the lines that its driver adds have another meaning in the program's format.
     """
     name = config.used["robot"]
     kind, options = device_options(config, name, hooks.device_types())
@@ -175,13 +175,13 @@ def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program
 
 
 def _of_role(cell: Cell, key: str) -> str:
-    """``robot.stop_s`` as the key of the job's robot."""
+    """Replace the port in a key, as in ``robot.stop_s``, by the name of the job's device."""
     port = port_of(key)
     return key.replace(port, cell.used.get(port, port), 1)
 
 
 def contact_limits(config: CellConfig) -> ContactLimits:
-    """What is watched in contact."""
+    """Return the limits in contact."""
     sensor = config.devices.get(config.used.get("force_sensor", ""))
     robot = config.devices[config.used["robot"]]
     apart = (
@@ -201,42 +201,43 @@ def contact_limits(config: CellConfig) -> ContactLimits:
     )
 
 
-# From a recipe to a job that can be worked, with its run folder. Opens no device.
+# From a recipe to a job with its run folder.
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class NoJob:
-    """What a daemon has between jobs: the journal of its cell."""
+    """State of a daemon between jobs: the journal of its cell."""
 
     journal: Journal
     findings: tuple[Finding, ...] = ()
 
     def names(self) -> dict[str, str]:
-        """Of job and part: there are none."""
+        """Return empty names of job and part."""
         return {"job": "", "part": ""}
 
     def cycles(self) -> list[dict[str, Any]]:
-        """Nothing was measured."""
+        """Return no cycles."""
         return []
 
     def summary(self) -> dict[str, Any]:
-        """Nothing is known."""
+        """Return an empty summary."""
         return {"cycles": []}
 
 
 def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
-    """Of each tool, in the order in which they polish; ConfigError where nothing would prove that one is mounted."""
+    """Return the recipe of each tool in polishing order; ConfigError for several tools without [touch_off]."""
     if config.tools and config.touch_off is None:
         raise config.error(
-            "tools", "a wrong tool is found by where it meets the part: several tools need [touch_off]; add it"
+            "tools",
+            "several tools need [touch_off], which detects a wrong tool by its contact position. Add [touch_off]",
         )
     return make_recipes(config, hooks)
 
 
 def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolStepState, ...]:
-    """The turn of each tool. Reads the files that the keys of several name."""
+    """Return the step of each tool; with several tools it reads the files that their keys name."""
     return tuple(
         ToolStepState(recipe, program, contact_limits(own), terms_of(own, program.sha256) if config.tools else None)
         for own, recipe, program in zip(config.turns, recipes, programs, strict=True)
@@ -254,7 +255,7 @@ def make_job(
     compute: Compute,
     publish: Callable[[Event], None],
 ) -> Job:
-    """The job of that config; ``Job.load`` takes up what an earlier run knew."""
+    """Make the job of that config; ``Job.load`` then restores the state of an earlier run."""
     return Job(
         ToolSequence(turns_of(config, recipes, programs), journal),
         journal=journal,
@@ -268,20 +269,20 @@ def make_job(
 
 
 def figures(job: Job | NoJob) -> dict[str, Any]:
-    """What was measured and done, for a summary; nothing where the journal is lost."""
+    """Return the measurements and passes for a summary; empty if the journal is lost."""
     try:
         found = job.summary()
     except PolishdError as lost:
-        log.error("the journal cannot be asked any more: %s", lost)
+        log.error("the journal cannot be read: %s", lost)
         return {"cycles": []}
     for cycle in found["cycles"]:
         if cycle["how"] == "begun":
-            cycle["how"] = "interrupted"  # it is over now; the next start settles it in the journal
+            cycle["how"] = "interrupted"  # the pass has ended; the next start closes it in the journal
     return {**found, "version": __version__}
 
 
 def run_folder(config: CellConfig, journal: Journal, job_text: str | None = None) -> RunFolder:
-    """The folder of the job that goes on, or a new one; of a job of the queue one of its own, with its file's text."""
+    """Return the folder of the job that goes on, or a new one; a job of the queue gets a copy of its file."""
     if journal.begun and journal.run_dir:
         path = config.resolve(journal.run_dir)
     else:
@@ -298,24 +299,24 @@ def run_folder(config: CellConfig, journal: Journal, job_text: str | None = None
     except OSError as error:
         why = f"{folder.path}: the run folder cannot be written: {error.strerror}"
         if not journal.begun:
-            raise ConfigError(f"{why}; mend it, or name another") from error
-        log.error("%s; the job goes on without", why)
+            raise ConfigError(f"{why}. Correct its permissions or name another folder") from error
+        log.error("%s; the job goes on without it", why)
     return folder
 
 
 def _new_folder(among: Path, job: str) -> Path:
-    """Named by job and time; a clock that was set back leads to no folder of an earlier job."""
+    """Return a new folder named by job and time, which differs from all existing ones."""
     path = among / f"{job}-{datetime.now(UTC):%Y%m%dT%H%M%S}"
     others = (path.with_name(f"{path.name}-{number}") for number in count(2))
     return next(one for one in chain([path], others) if not one.exists())
 
 
-# From an entry of the queue to a job that can be worked on a cell that may be open.
+# From an entry of the queue to a job on a cell that may be open.
 
 
 @dataclass(frozen=True, slots=True)
 class JobMaker:
-    """Makes jobs of one cell. Its processes and devices stay; only what looks at the part is built for each."""
+    """Makes the jobs of one cell. Its devices stay, except those that depend on the part."""
 
     config: CellConfig
     hooks: Hooks
@@ -325,10 +326,10 @@ class JobMaker:
     async def __call__(
         self, entry: QueueEntry, queue: Queue, journal: Journal, publish: Callable[[Event], None]
     ) -> tuple[Job, RunFolder]:
-        """The job, journalled as under way; where an earlier run began it, with all that is known of it.
+        """Make the job and journal it as under way; restore the state of an earlier run that began it.
 
-        PolishdError where anything of it is wrong; nothing has moved then. The numbers are worked in the compute
-        worker, and files are read in threads: other cells of this process may be in contact.
+        PolishdError if anything in it is wrong; nothing has moved then. Numerical work runs in the compute worker and
+        files are read in threads, because other cells of this process may be in contact.
         """
         lay = require_unchanged if entry.begun_s is None else _laid_over
         config = await asyncio.to_thread(lay, self.config, entry)
@@ -343,7 +344,7 @@ class JobMaker:
             require_stall_depth(tool, self.cell, recipe)
         require_time_limits(config, self.cell)
         terms = await asyncio.to_thread(terms_of, config, programs[0].sha256)
-        queue.require_held(entry)  # or the journal would have a job that another cell may be given now
+        queue.require_held(entry)  # otherwise the shop could assign this job to another cell
         own = journal.of_job(entry.name, entry.part_id, terms, queue.begin_row(entry))
         require_same(config, terms, own)
         queue.begin(entry, own.number)
@@ -357,5 +358,5 @@ class JobMaker:
 
 
 def _laid_over(cell: CellConfig, entry: QueueEntry) -> CellConfig:
-    """Of a job that is under way: ``require_same`` says what may have changed since."""
+    """Return the config of a job under way; ``require_same`` checks what may have changed since."""
     return entry.file.laid_over(cell)

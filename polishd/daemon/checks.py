@@ -1,4 +1,4 @@
-"""``check`` and ``probe``: what can be known of a cell before it runs."""
+"""``check`` and ``probe``: checks of a cell before it runs."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import Hooks, hooks_of_job
 from polishd.process.removal import contact
 
-Tell = Callable[[str], None]
-"""Given what is looked at next, in a few words."""
+OnStep = Callable[[str], None]
+"""Callback with a description of the next step."""
 
 
-def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) -> dict[str, Any]:
-    """Read what the config names and compute along each tool's program. Opens nothing; the first fault is raised."""
-    tell("part, tool and instrument")
+def check_cell(config: CellConfig, hooks: Hooks, on_step: OnStep = lambda _: None) -> dict[str, Any]:
+    """Read all files of the config and compute along each tool's program. Opens nothing; raises the first fault."""
+    on_step("part, tool and instrument")
     recipes = make_recipes(config, hooks)
-    tell("devices and their time limits")
+    on_step("devices and their time limits")
     cell = build_cell(config, hooks)
     chain = require_time_limits(config, cell)
     notifiers = build_notifiers(config, hooks)
@@ -62,7 +62,7 @@ def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) ->
     pits: list[tuple[StallRemoval, str]] = []
     for own, recipe in zip(config.turns, recipes, strict=True):
         of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
-        found, pit = _along(own, cell, hooks, recipe, tell)
+        found, pit = _along(own, cell, hooks, recipe, on_step)
         along |= {of_tool + key: value for key, value in found.items()}
         pits.append((pit, pit.warning(tolerance_nm(recipe))))
     pit, warning = max(pits, key=lambda one: one[0].removal_nm)
@@ -79,8 +79,8 @@ def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) ->
         "without power": ", ".join(
             f"{name} {cast(ForceActuator, cell.devices[name]).times.unpowered}" for name in cell.at("actuator")
         ),
-        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none is watched",
-        "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "nobody",
+        "signals": "; ".join(str(one) for one in cell.signals.limits) or "none",
+        "notifications": ", ".join(f"{one.name} ({one.type}, {one.least})" for one in notifiers) or "none",
         "host": host(),
         "time limits": [*(limit.row() for limit in chain), pit.row()],
         "pit": pit.facts(),
@@ -89,15 +89,15 @@ def check_cell(config: CellConfig, hooks: Hooks, tell: Tell = lambda _: None) ->
 
 
 def _along(
-    config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, tell: Tell
+    config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, on_step: OnStep
 ) -> tuple[dict[str, Any], StallRemoval]:
-    """What can be said of the program that one tool runs along, and the pit where the robot stands on it."""
+    """Return facts of one tool's program, and the pit of a robot that stands on it."""
     pit = require_stall_depth(config, cell, recipe)
-    tell(f"reading {config.program_path.name}")
+    on_step(f"reading {config.program_path.name}")
     program = steps.read_program(recipe, config.program_path)
     require_accepted_by_robot(config, hooks, program)
     precheck.check_pass(config, recipe, program)
-    tell(f"reach and removal at {program.n} points")
+    on_step(f"reach and removal at {program.n} points")
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))
@@ -127,9 +127,9 @@ def _along(
 
 
 def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:
-    """The jobs of these files, each judged as a whole, as ``polishd check`` does; the first fault of each is raised.
+    """Return the jobs of these files, each checked as by ``polishd check``; raise the first fault of each.
 
-    Jobs that differ by name and part alone are judged once; ``judged``: those of earlier calls, kept by the caller.
+    Jobs that differ only in name and part are checked once; ``judged``: those of earlier calls, kept by the caller.
     """
     jobs, wrong, judged = [], [], set() if judged is None else judged
     for path in paths:
@@ -143,10 +143,10 @@ def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: se
                 check_cell(config, hooks_of_job(cell, hooks, config))
                 judged.add(same)
         except PolishdError as error:
-            said = str(error)
-            wrong.append((error, said if str(path) in said else f"{path}: {said}"))
+            problem = str(error)
+            wrong.append((error, problem if str(path) in problem else f"{path}: {problem}"))
     if wrong:
-        raise type(wrong[0][0])("\n".join(said for _, said in wrong))
+        raise type(wrong[0][0])("\n".join(problem for _, problem in wrong))
     return jobs
 
 
@@ -155,30 +155,28 @@ def _devices(cell: Cell) -> str:
 
 
 def _seat(recipe: Recipe, hooks: Hooks) -> str:
-    """How it is proved, and where; PlanRefused where a plugin does not let the tool go there."""
-    asked = recipe.touch_off
-    if asked is None:
-        refused = (
-            "" if recipe.turn is None else "run will refuse, for a wrong tool is found by where it meets the part: "
-        )
-        return f"{refused}nobody proves it: the cell has no [touch_off]"
-    part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
-    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in asked.points_mm + 0.0)
-    return f"proved with {asked.force_n:g} N at {places}: at most {asked.max_offset_mm:g} mm off"
+    """Return how and where the seat is checked; PlanRefused if a plugin refuses a touch-off."""
+    touch_off = recipe.touch_off
+    if touch_off is None:
+        refused = "" if recipe.turn is None else "run will refuse, because several tools need [touch_off]: "
+        return f"{refused}not checked: the cell has no [touch_off]"
+    part_handling.require_allowed(recipe, part_handling.plans(recipe, touch_off), hooks.check_plan)
+    places = "; ".join(f"x {x:.1f}, y {y:.1f} mm" for x, y, _ in touch_off.points_mm + 0.0)
+    return f"checked with {touch_off.force_n:g} N at {places}: at most {touch_off.max_offset_mm:g} mm off"
 
 
 def _force(cell: Cell, limits: ContactLimits) -> str:
-    """Who tells it, and how large it may be."""
+    """Return which devices measure the force, and its limits."""
     sensor = cell.used.get("force_sensor")
     most = f"; no reading above {limits.force_max_n:g} N ({limits.force_max_key})"
     if sensor is None:
-        return f"by the actuator's word alone: the cell has no [force_sensor]{most}"
+        return f"measured by the actuator only: the cell has no [force_sensor]{most}"
     apart = f"at most {limits.apart_n:g} N apart for more than {limits.apart_s:g} s"
-    return f"the actuator's word and {sensor}'s: {apart}{most}"
+    return f"measured by the actuator and {sensor}: {apart}{most}"
 
 
 def _lie(config: CellConfig, recipe: Recipe, removal_nm: float) -> str:
-    """What an actuator costs that presses with more than it reads: nothing ends contact then."""
+    """Return the removal by an actuator that presses with more force than it reads, which ends no contact."""
     process = recipe.process
     pressed_n = np.array([process.force_n + 1.0, config.process.most_force_n])
     more = contact.relative_removal(process, pressed_n, np.full(2, np.nan)) - 1.0
@@ -195,13 +193,13 @@ def _instrument(config: CellConfig, recipe: Recipe) -> str:
     if instrument is None or instrument.commissioned is None:
         return f"run will refuse: {uncommissioned_reason(config)}"
     record = instrument.commissioned
-    system = "" if recipe.system is None else f"; its system map is off each map: {recipe.system.surface.sha256[:12]}"
+    system = "" if recipe.system is None else f"; subtracted system map: {recipe.system.surface.sha256[:12]}"
     return f"{instrument.name}: commissioned {record.at:%Y-%m-%d %H:%M} with {record.artefact}{system}"
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeResult:
-    """Who answered, what is wrong with the others, by the devices' names, and each watched signal as it was told."""
+    """Identities and problems by the devices' names, and the values of the watched signals."""
 
     identities: Mapping[str, DeviceIdentity]
     problems: Mapping[str, str]
@@ -211,10 +209,10 @@ class ProbeResult:
 async def probe_cell(
     config: CellConfig, hooks: Hooks, only: Sequence[str] = (), record: Path | None = None
 ) -> ProbeResult:
-    """Connect to each device, whatever is wrong with another; identify it, and leave all safe.
+    """Connect to each device and identify it, regardless of faults of others; then make all safe.
 
-    With ``only``, these are asked who they are and nothing else: no robot is stopped over a tool that nobody lifts.
-    With ``record`` what passes on their links goes to that file.
+    With ``only`` these are identified and nothing else, so that no robot stops while its tool may press.
+    With ``record`` the messages on their links go to that file.
     """
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
@@ -228,12 +226,12 @@ async def probe_cell(
                     found[name] = await cell.open_one(name)
                     if port_of(name) == "monitor":
                         await report_once(cell, name)
-                except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
+                except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are probed as well
                     problems[name] = str(error) or type(error).__name__
             if not only:
                 await make_safe(cell)
         finally:
             await cell.close()
-    unsafe = (said.partition(": ") for said in cell.unsafe)
+    unsafe = (one.partition(": ") for one in cell.unsafe)
     problems = {name: f"not confirmed safe: {why}" for name, _, why in unsafe} | problems
     return ProbeResult(found, problems, {name: facts["text"] for name, facts in cell.signals.facts().items()})

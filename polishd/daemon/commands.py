@@ -1,4 +1,4 @@
-"""Commands of operators: in the order in which they came, and as the end of the work that they interrupt."""
+"""Commands of operators, in the order of arrival; a command ends the work that it interrupts."""
 
 from __future__ import annotations
 
@@ -14,43 +14,43 @@ from polishd.model.errors import HostFault, PolishdError
 
 @dataclass(slots=True)
 class OperatorCommand:
-    """One of ``state_machine.ORDERS`` with its reason; or ``UNFIT``, which the computer or a signal gives."""
+    """One of ``state_machine.ORDERS`` with its reason, or ``UNFIT`` from the computer's health or a signal."""
 
     verb: StateEvent
     reason: str = ""
     error: type[PolishdError] = HostFault
-    """Of ``UNFIT``: what the cell is held over, or its daemon ends with."""
+    """For ``UNFIT``: the class of the error that holds the cell or ends its daemon."""
     refused: bool = False
-    """It was tried, and the cell stays in its state."""
+    """The command failed, and the cell stays in its state."""
     taken: bool = False
-    """It was tried, and the cell goes on by it, perhaps through states that are left at once."""
+    """The command succeeded, and the cell goes on, perhaps through states that it leaves at once."""
 
     def worsen(self, reason: str, error: type[PolishdError]) -> None:
-        """Of ``UNFIT``, also once it is taken: an error that cannot be mended replaces one that can."""
+        """Replace the error of ``UNFIT`` by one that an operator cannot mend, also after the command was taken."""
         if self.error.mendable and not error.mendable:
             self.error, self.reason = error, f"{reason}; {self.reason}"
 
-    def said(self, word: str) -> str:
-        """With the reason that was given."""
-        return f"{word}: {self.reason}" if self.reason else word
+    def describe(self, what: str) -> str:
+        """Return ``what`` with the reason of the command, if it has one."""
+        return f"{what}: {self.reason}" if self.reason else what
 
 
 class OperatorCommandQueue:
-    """Commands that were given and are not taken yet, in the order in which they came."""
+    """Commands that were given and are not taken yet, in the order of arrival."""
 
     def __init__(self) -> None:
         self._waiting: asyncio.Queue[OperatorCommand] = asyncio.Queue()
 
     def give(self, order: OperatorCommand) -> None:
-        """It is taken as soon as what happens now can be ended."""
+        """Add a command; it is taken as soon as the present work can be ended."""
         self._waiting.put_nowait(order)
 
     async def next(self) -> OperatorCommand:
-        """The next one of an operator."""
+        """Return the next command of an operator."""
         return await self._but(StateEvent.UNFIT)
 
     async def interrupting(self) -> OperatorCommand:
-        """The next one that ends work: any but to go on."""
+        """Return the next command that ends work: any except ``RESUME``."""
         return await self._but(StateEvent.RESUME)
 
     async def _but(self, passed: StateEvent) -> OperatorCommand:
@@ -58,8 +58,8 @@ class OperatorCommandQueue:
             pass
         return order
 
-    async def asked_to_stop(self) -> OperatorCommand:
-        """The order to stop, while the cell is opened. All orders stay in the queue, for when it is open."""
+    async def stop_command(self) -> OperatorCommand:
+        """Wait for the command to stop while the cell is opened. All commands stay in the queue for later."""
         seen: list[OperatorCommand] = []
         try:
             while not seen or seen[-1].verb is not StateEvent.STOP:
@@ -75,9 +75,9 @@ async def run_unless_commanded(
     *work: Coroutine[Any, Any, None],
     late: Callable[[OperatorCommand], None] = lambda _: None,
 ) -> OperatorCommand | None:
-    """The order that ended the work, or None where the work, the first of them, came to its end.
+    """Return the command that ended the work, or None if the first work ended before a command.
 
-    An order that comes just then, or over which the work fails, is given to ``late``: it is for whatever comes next.
+    A command that arrives at that moment, or with which the work fails, goes to ``late`` for the next state.
     """
     ordered: asyncio.Task[OperatorCommand] | None = None
     try:

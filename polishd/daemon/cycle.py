@@ -1,4 +1,4 @@
-"""The cycle: measure, learn, solve, plan, run, and again, in time order from top to bottom."""
+"""The cycle: measure, learn, solve, plan, run; in time order from top to bottom."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from polishd.process.removal.excess import ExcessMap
 
 
 async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
-    """Run cycles until the part is in tolerance, the cycles are used, or passes bring too little, or harm.
+    """Run cycles until the part is in tolerance, all passes are used, or a pass improves too little or harms.
 
-    Returns with the tool lifted and the robot standing still. Raises PolishdError (the cell is then safe too)
-    when a map, a plan, a device or a computation is refused.
+    Returns with the tool lifted and the robot standing still. Raises PolishdError, with the cell equally safe, if a
+    map, a plan, a device or a computation is refused.
     """
     handling = PartHandling(cell, job, journal)
     for cycle in journal.remaining(job.last_cycle + 1):  # one measurement more than passes
@@ -38,9 +38,9 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             surface = await job.measured(cycle, await next_map(cell, job.publish, cycle, journal.last_map_id))
         surface = await handling.settled(cycle, surface)
         async with journal.phase(cycle, CyclePhase.LEARN):
-            doubted = await job.learn(cycle, surface)  # first: no figure is believed of a map that the gate stops
-        if doubted:  # there are low orders that may be none of the pass
-            surface, again = await handling.told_apart(cycle, surface)
+            doubted = await job.learn(cycle, surface)  # first: a map that fails the removal check is not used
+        if doubted:  # its low orders may not come from the pass
+            surface, again = await handling.remeasure(cycle, surface)
             async with journal.phase(cycle, CyclePhase.LEARN):
                 await job.learn(cycle, surface, again)
         job.tools.take()  # of several tools
@@ -57,17 +57,17 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
         async with journal.phase(cycle, CyclePhase.PLAN):
             plan = await job.plan(cycle, surface, solved)
             await job.refuse_unsafe(plan)
-        if job.worthless(cycle):
+        if job.pass_not_worthwhile(cycle):
             return Outcome.STALLED
         await until_approved(cell, job, cycle, plan, solved.dwell.certificate.predicted_rms_nm)
         await before_contact(cell, job.publish, cycle)
-        await handling.ready(cycle)  # tool, pad and seat: nothing is pressed on a part that does not sit right
-        await before_contact(cell, job.publish, cycle)  # which may have taken minutes
+        await handling.ready(cycle)  # tool, pad and seat: no force on a part that is not seated correctly
+        await before_contact(cell, job.publish, cycle)  # the steps between may have taken minutes
         excess = await job.excess(plan)
         async with journal.phase(cycle, CyclePhase.RUN), _fed(cell, job, plan, excess) as stream:
             await require_robot(cell, job.tools.now.contact.least_override)
             await job.begin_pass(cycle, plan, await cell.robot.progress(), cell.limits.unseen_s)
-            # what was done, not what was asked, feeds the next cycle
+            # the next cycle uses the executed blocks, not the planned ones
             touch = ContactRecord(partial(job.executed, cycle), cell.limits.robot.silence_s)
             try:
                 async with recording(cell, journal, cycle, touch) as recorder:
@@ -85,7 +85,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
 
 
 def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncContextManager[Stream]:
-    """The robot, with the plan, and what it says told to whoever watches."""
+    """Stream the plan to the robot; its progress goes to the cell's live values."""
     limits = job.tools.now.contact
     return streaming(
         plan,
@@ -93,7 +93,7 @@ def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncCo
         cell.clock,
         job.stream_ahead_s,
         least_s=cell.limits.buffer_s,
-        heard=cell.robot_told,
+        on_progress=cell.robot_reported,
         ended=cell.ended,
         limits=ProgressLimits.of(
             cell.limits, limits.least_override, limits.no_progress_s, knows_overhead=job.knows_overhead
@@ -103,14 +103,14 @@ def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncCo
 
 
 _in_contact: set[object] = set()
-"""A token for each pass of this process: its cells have one collector."""
+"""A token for each pass of this process: all its cells share one garbage collector."""
 
 
 @contextmanager
 def short_collections() -> Iterator[None]:
-    """What lives now is not searched for garbage inside: with a plan of 100,000 blocks that would take 50 ms.
+    """Exclude the present objects from garbage collection inside: with a plan of 100,000 blocks one would take 50 ms.
 
-    What is garbage already is frozen with it, and thereafter as old as all else: it is collected when the job ends.
+    Garbage that exists already is frozen as well and is collected when the job ends.
     """
     this = object()
     _in_contact.add(this)

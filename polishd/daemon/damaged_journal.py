@@ -1,7 +1,7 @@
 """Daemon of a cell whose journal is damaged: it is held, opens no device, and answers until it is stopped.
 
-What a damaged journal says of the last pass cannot be trusted, and without a journal nothing is polished. So the cell
-comes up held, tells why as over any other error (socket, page, notifications, systemd), and ends by `stop`.
+The record of the last pass in a damaged journal is not reliable, and without a journal nothing is polished. So the cell
+starts held, reports the reason as for any other error (socket, page, notifications, systemd), and ends by `stop`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from polishd.model.states import DaemonState
 
 log = logging.getLogger(__name__)
 
-NEXT = "mend the journal as the reason says, then polishd stop CELL.toml and polishd run CELL.toml"
+NEXT = "repair the journal as the reason says, then polishd stop CELL.toml and polishd run CELL.toml"
 
 
 class DamagedCell:
-    """Answers the verbs of the socket; ``stop`` ends ``until_stopped``."""
+    """Handlers of the socket's commands; ``stop`` ends ``until_stopped``."""
 
     def __init__(self, config: CellConfig, damage: JournalDamage) -> None:
         self._config = config
@@ -39,22 +39,22 @@ class DamagedCell:
 
     @property
     def handlers(self) -> dict[str, Handler]:
-        """Every verb has an answer: those that need a journal are refused with the reason."""
+        """Handlers of all commands; those that need a journal are refused with the reason."""
         answered = {"status": self._status, "live": self._live, "stop": self._stop, "hold": self._stay}
         answered |= {"estop": self._stay}
         return {**{verb: self._refuse for verb in VERBS if verb != SUBSCRIBE}, **answered}
 
     def stop(self) -> None:
-        """End it, as SIGTERM does."""
+        """End the daemon, as SIGTERM does."""
         self._stopped.set()
 
     def state_event(self, state: DaemonState | str) -> events.StateChanged:
-        """The state as an event: no device was asked."""
+        """Return the state as an event; no device is open."""
         standing = replace(safety_sentence("held", None), next=NEXT)
         return events.StateChanged(state=state, reason=self.reason, standing=standing)
 
     async def until_stopped(self, bus: EventBus, damage: JournalDamage) -> None:
-        """Say why the cell is held, and wait."""
+        """Publish why the cell is held, and wait for ``stop``."""
         bus.publish(events.CellHeld(error=str(damage), kind=type(damage).__name__))
         bus.publish(self.state_event(DaemonState.HELD))
         await self._stopped.wait()
@@ -77,15 +77,15 @@ class DamagedCell:
         return {**self._facts(), "cycles": [], "tasks": len(asyncio.all_tasks()), "devices": {}}
 
     async def _live(self) -> Mapping[str, Any]:
-        told = dict.fromkeys(("force", "speed", "sensed", "robot"))
-        return {**self._facts(), "pressing": False, "leaving": "", "approval": "", "readings": told, "ages_s": {}}
+        readings = dict.fromkeys(("force", "speed", "sensed", "robot"))
+        return {**self._facts(), "pressing": False, "leaving": "", "approval": "", "readings": readings, "ages_s": {}}
 
     async def _stay(self, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        log.info("held already, by the damage of the journal; %s says: %s", by or "somebody", reason)
+        log.info("already held because the journal is damaged; command by %s: %s", by or "an operator", reason)
         return {"state": DaemonState.HELD, "reason": self.reason, "next": NEXT}
 
     async def _stop(self, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        log.info("stopped by %s: %s", by or "order", reason)
+        log.info("stopped by %s: %s", by or "command", reason)
         self.stop()
         return {"state": DaemonState.FINISHED, "reason": self.reason, "next": NEXT}
 
@@ -102,7 +102,7 @@ async def hold_damaged(
     listeners: Sequence[Callable[[Event], None]],
     sink: Callable[[Event], None],
 ) -> None:
-    """Serve the socket, held, until the cell is stopped; keep how it ended for ``polishd status``."""
+    """Serve the socket, held, until the cell is stopped; write the exit record for ``polishd status``."""
     known = {"job": config.job.id, "part": config.part.id, "run_dir": ""}
     kept = recording_exit(config.state_dir, lambda: None)
     async with (

@@ -1,7 +1,8 @@
-"""How the computer of a cell does: figures with limits, which are looked at while the daemon runs.
+"""Health of a cell's computer: figures with limits, checked while the daemon runs.
 
-The limits follow from the devices' watchdogs and from what the present pass still has to write; none is a key. One that
-is crossed while the daemon polishes makes it leave contact and hold, while it still can (docs/host.md).
+The limits follow from the devices' watchdogs and from the data that the present pass still has to write; none is a
+config key. A figure beyond its limit makes a polishing daemon leave contact and hold, before it is too late
+(docs/host.md).
 """
 
 from __future__ import annotations
@@ -34,48 +35,48 @@ from polishd.pipeline.disk_space import MB, SpaceNeeded, free_space
 log = logging.getLogger(__name__)
 
 BEAT_S = 0.1
-"""Between two looks at the loop."""
+"""Interval of the checks of the event loop."""
 SLOW_S = 2.0
-"""Between two looks at disks and memory."""
+"""Interval of the checks of disks and memory."""
 WINDOW_S = 60.0
-"""For so long a lag of the loop is remembered."""
+"""Time for which a lag of the event loop counts."""
 MEMORY_SHARE = 0.02
-"""Of the computer's memory; with less left the kernel begins to kill."""
+"""Smallest free share of the computer's memory; below it the kernel begins to kill processes."""
 CGROUPS, OWN_CGROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 V1_FILES, V2_FILES = ("memory.limit_in_bytes", "memory.usage_in_bytes"), ("memory.max", "memory.current")
 MOST_MEMORY = 1 << 50
-"""A limit of a control group that is larger is none."""
+"""A larger limit of a control group counts as no limit."""
 SHARE = 0.5
-"""Of a watchdog: what is later than that may be too late the next time."""
+"""Largest lag as a share of a watchdog: after a larger one the next may be too late."""
 
 
 NEAR = 0.75
-"""Of what a row may wait for its commit: beyond all of it the pass ends over it."""
+"""Share of the longest wait of a row for its commit; after the whole wait the pass ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class HealthFigure:
-    """One of them; the unit is in the name."""
+    """One figure; its name contains the unit."""
 
     name: str
     value: float
     limit: float
     advice: str
     least: bool = False
-    """The limit is the least that must be left; else the most that may be."""
+    """The limit is a minimum, else a maximum."""
 
     @property
     def fits(self) -> bool:
-        """It is within its limit."""
+        """Whether it is within its limit."""
         return self.value >= self.limit if self.least else self.value <= self.limit
 
     def __str__(self) -> str:
-        """With its limit."""
+        """Return the figure with its limit."""
         return f"{self.name} {self.value:.4g}, at {'least' if self.least else 'most'} {self.limit:.4g}"
 
 
 class Health:
-    """Of one daemon's computer."""
+    """Health of one daemon's computer."""
 
     def __init__(self, cell: Cell, job: Callable[[], Job | NoJob]) -> None:
         self._cell = cell
@@ -84,27 +85,27 @@ class Health:
         self._left: dict[str, HealthFigure] = {}
 
     def figures(self) -> list[HealthFigure]:
-        """As of now; those of disks and memory as of the last look."""
+        """Return the present figures; those of disks and memory from the latest check."""
         return [*self._of_contact(), *self._left.values()]
 
     def wrong(self, *, in_contact: bool) -> str:
-        """Each figure over its limit, and what to do; empty where all fit. Loop and journal count in contact."""
+        """Return each figure beyond its limit with advice; empty if all fit. Loop and journal count in contact only."""
         figures = self.figures() if in_contact else list(self._left.values())
         return "; ".join(f"{figure}: {figure.advice}" for figure in figures if not figure.fits)
 
     def ages_s(self) -> Mapping[str, float]:
-        """How long ago each device last answered, s; those only that have."""
+        """Return the time since the latest answer of each device that has answered, s."""
         now_s = time.monotonic()
-        return {name: now_s - heard_s for name, heard_s in self._cell.heard_s.items()}
+        return {name: now_s - answered_s for name, answered_s in self._cell.answered_s.items()}
 
     def device(self, name: str) -> dict[str, Any]:
-        """Who it said it is, whether the job uses it, and how long ago it last answered."""
+        """Return its identity, whether the job uses it, and the time since its latest answer."""
         found = self._cell.identities.get(name)
         age_s = self.ages_s().get(name)
         return {**(asdict(found) if found else {}), "used": self._cell.uses(name), "heard_s_ago": age_s}
 
     async def look(self) -> None:
-        """At disks and memory."""
+        """Check disks and memory."""
         job = self._job()
         journal, begun = job.journal, job.journal.unfinished()
         state_dir = journal.store.path.parent
@@ -117,11 +118,11 @@ class Health:
         try:
             self._left = await asyncio.to_thread(_left, state_dir, run_dir, writes)
         except OSError as error:
-            log.warning("the disks cannot be asked how much is left: %s", error)
+            log.warning("the free space of the disks cannot be read: %s", error)
 
     @asynccontextmanager
     async def watching(self, danger: Callable[[str], None]) -> AsyncIterator[None]:
-        """Look at it all inside this block; ``danger`` is told what is wrong, again and again while it is."""
+        """Check all figures inside this block; ``danger`` gets each message at every check while it applies."""
         try:
             async with asyncio.TaskGroup() as group:
                 tasks = [group.create_task(self._beat(danger)), group.create_task(self._look_on())]
@@ -158,7 +159,7 @@ class Health:
         limits = self._cell.limits
         fed_s = min(limits.actuator.watchdog_s, limits.spindle.watchdog_s, limits.robot.watchdog_s)
         lags = nlargest(2, (lag for _, lag in self._lags))
-        second = lags[1] if len(lags) > 1 else 0.0  # one may be chance
+        second = lags[1] if len(lags) > 1 else 0.0  # a single one may be chance
         busy, slow = "too much else runs on this computer", "the disk of cell.state_dir is too slow"
         return [
             HealthFigure("loop_lag_s", second, SHARE * fed_s, busy),
@@ -167,7 +168,7 @@ class Health:
 
 
 def _left(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> dict[str, HealthFigure]:
-    """Room for what a pass and its job still write, and memory."""
+    """Return figures of the disk space that a pass and its job still need, and of memory."""
     found = []
     for room in free_space(state_dir, run_dir, writes):
         advice = f"make room on the disk of {room.folder}"
@@ -181,22 +182,22 @@ def _left(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> dict[str, Heal
         found.append(HealthFigure("memory_mb", left_mb, MEMORY_SHARE * total_mb, advice, least=True))
     if (own := process_memory_mb()) is not None:
         left_mb, limit = own
-        advice = f"raise the limit of the daemon's process ({limit}), or end it and see what in it grows"
+        advice = f"raise the limit of the daemon's process ({limit}), or restart it and find what grows in it"
         found.append(HealthFigure("process_memory_mb", left_mb, LEAST_MB, advice, least=True))
     return {figure.name: figure for figure in found}
 
 
 def _memory_mb() -> tuple[float, float] | None:
-    """All, and what programs may still have; None where the kernel does not say.
+    """Return total and available memory; None if the kernel does not report it.
 
-    Of the computer, or of the control group (a service, a container) with the least left, where that is less.
+    Of the computer or of the control group (service, container), whichever has the smaller share left.
     """
     found = [*([host] if (host := _host_memory_mb()) else []), *_group_memory_mb()]
     return min(found, key=lambda one: one[1] / one[0], default=None)
 
 
 def _group_memory_mb(root: Path = CGROUPS, own: Path = OWN_CGROUPS) -> Iterator[tuple[float, float]]:
-    """Limit, and what is left of it, of each control group of this process that has one."""
+    """Yield limit and free memory of each control group of this process that has a limit."""
     try:
         lines = own.read_text().splitlines()
     except OSError:
@@ -229,16 +230,16 @@ def _host_memory_mb() -> tuple[float, float] | None:
     return total_mb, left_mb
 
 
-# What those ask who watch a cell, often and many: answered from memory, in bounded time, and no device is asked.
+# Commands of status displays: answered from memory in bounded time, without a request to a device.
 
 MOST_ALARMS = 1000
-"""That are acknowledged at once."""
+"""Largest number of alarms that one command acknowledges."""
 
 
 def status_snapshot(
     cell: Cell, health: Health, bus: EventBus, standing: Callable[[], Mapping[str, Any]]
 ) -> dict[str, Handler]:
-    """Who obeys the verbs of those who watch; ``standing`` says what the daemon does."""
+    """Return the handlers of these commands; ``standing`` returns the state of the daemon."""
     return {
         "live": partial(_live, cell, health, standing),
         "acknowledge": partial(_acknowledge, bus),
@@ -259,7 +260,7 @@ async def _live(cell: Cell, health: Health, standing: Callable[[], Mapping[str, 
 
 
 def health_snapshot(cell: Cell, health: Health) -> dict[str, Any]:
-    """Who did not confirm being safe, the last refused map while another is waited for, signals, and the computer."""
+    """Return devices not confirmed safe, the refused map while another is due, signals and figures."""
     return {
         "unsafe": list(cell.unsafe),
         "map_refused": None if cell.map_refusal is None else asdict(cell.map_refusal),
@@ -269,8 +270,8 @@ def health_snapshot(cell: Cell, health: Health) -> dict[str, Any]:
 
 
 async def _acknowledge(bus: EventBus, alarms: Sequence[Any], by: str = "") -> Mapping[str, Any]:
-    """It is journalled, and told; which alarms are there is the business of whoever reads the journal."""
+    """Publish the acknowledgment, which is journalled; the reader of the journal matches it with the alarms."""
     if len(alarms) > MOST_ALARMS or not all(type(one) is int and one > 0 for one in alarms):
-        raise ConfigError(f"alarms are numbers of events in the journal, {MOST_ALARMS} at most; look at them again")
+        raise ConfigError(f"alarms must be numbers of events in the journal, {MOST_ALARMS} at most. Check the numbers")
     bus.publish(events.AlarmAcknowledged(alarms=list(alarms), by=by))
     return {"acknowledged": list(alarms)}

@@ -1,6 +1,6 @@
-"""The daemon of one cell: it works job after job, and an operator may hold, resume or stop it.
+"""Daemon of one cell: it runs job after job, and an operator can hold, resume or stop it.
 
-It goes from state to state by the table in ``state_machine``. The one job of the cell's own file is a queue of one.
+The table in ``state_machine`` defines its states. The single job of the cell's file is a queue of one.
 Hold, stop, SIGTERM and every error leave contact in the same order (``safety.make_safe``). After an interruption
 nothing moves until ``resume``. An error that an operator can mend holds the cell, any other one ends the daemon
 (docs/cycle.md).
@@ -54,17 +54,17 @@ log = logging.getLogger(__name__)
 
 _T = TypeVar("_T")
 
-ORDERED, STOPPED, BEGUN = "held by order", "stopped by order", "this job was begun earlier"
-EMERGENCY = "motion was stopped at once, by order"
+ORDERED, STOPPED, BEGUN = "held by command", "stopped by command", "this job was begun earlier"
+EMERGENCY = "motion was stopped at once, by command"
 IN_THE_WAY = (
-    "the robot stands where its last pass or touch-off was cut off, and the loader must not move under it; drive the "
-    "robot away at its own controller, then resume"
+    "the robot stands where its last pass or touch-off was interrupted, and the loader must not move below it. Move "
+    "the robot away at its controller, then resume"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class StateResult:
-    """What ended the work of a state: the trigger of the next transition, with its reason, outcome or error."""
+    """Result of the work of a state: the event of the next transition, with its reason, outcome or error."""
 
     trigger: StateEvent
     reason: str = ""
@@ -76,7 +76,7 @@ ENDED = StateResult(StateEvent.ENDED)
 
 
 class JobRunner:
-    """Runs jobs on a cell that it opens and closes, and obeys commands at once."""
+    """Runs jobs on a cell, which it opens and closes, and obeys commands at once."""
 
     def __init__(
         self,
@@ -88,22 +88,22 @@ class JobRunner:
         holds: bool = True,
         until_empty: bool = False,
     ) -> None:
-        """``holds``: wait for an operator where one can mend the cause, else end; ``until_empty``: of a queue."""
+        """``holds``: wait for an operator who can remove the cause; ``until_empty``: end with an empty queue."""
         self.jobs, self.bus = jobs, bus
         self._cell, self._requests = cell, requests
-        cell.on_broken = partial(_tell_broken, bus)
+        cell.on_broken = partial(_publish_abort, bus)
         self._holds, self._until_empty = holds, until_empty
         self._error: Exception | None = None
-        """The error over which the cell is held."""
+        """The error that holds the cell."""
         self._orders = OperatorCommandQueue()
         self._asides: asyncio.Queue[tuple[QueueEntry, OperatorCommand]] = asyncio.Queue()
         self._unfit: OperatorCommand | None = None
-        """Given over the computer or a signal, since polishing began."""
+        """Command because of the computer's health or a signal, since polishing began."""
         begun = jobs.entry is not None and jobs.job.journal.begun
         self._part_in = jobs.entry.part_id if begun and jobs.entry else ""
-        """The part in the cell, of a queue, as far as is known; a map proves it."""
+        """The part in the cell as far as is known, with a queue; a map verifies it."""
         self._seen: int | None = None
-        """The pass that was cut off (``Journal.cut_off``) over which an operator has resumed since."""
+        """The interrupted pass (``Journal.cut_off``) after which an operator has resumed."""
         self._changed = asyncio.Condition()
         self._work: Mapping[DaemonState, Callable[[], Awaitable[StateResult]]] = {
             DaemonState.STARTING: self._start,
@@ -117,19 +117,19 @@ class JobRunner:
 
     @property
     def job(self) -> Job | NoJob:
-        """The job under way, with the journal that knows it."""
+        """The job under way, or the journal between jobs."""
         return self.jobs.job
 
     @property
     def handlers(self) -> dict[str, Handler]:
-        """Handlers of the verbs of the socket."""
+        """Handlers of the socket's commands."""
         found = status_snapshot(self._cell, self._health, self.bus, self._now)
         orders = {verb.value: partial(self._order, verb) for verb in ORDERS}
         own: dict[str, Handler] = {"status": self.status, **found, **orders, "queue_remove": self._remove}
         return {**self._requests.handlers, **self.jobs.handlers(), **own}
 
     async def status(self) -> Mapping[str, Any]:
-        """State, its reason, what was measured so far, and what waits in a queue that is worked."""
+        """Return state, reason, cycles, health, devices and the waiting jobs."""
         return {
             **self._now(),
             "cycles": self.job.cycles(),
@@ -144,7 +144,7 @@ class JobRunner:
         return state | self.job.names() | dict(zip(("cycle", "phase"), self.job.journal.phase_now, strict=True))
 
     def stop(self) -> None:
-        """As SIGTERM does."""
+        """Stop the daemon, as SIGTERM does."""
         self._orders.give(OperatorCommand(StateEvent.STOP))
 
     async def run(self) -> Outcome:
@@ -159,7 +159,7 @@ class JobRunner:
             try:
                 await self._leave()
             except (PolishdError, OSError) as late:
-                error.add_note(f"and then: {late}")  # the first error counts
+                error.add_note(f"and then: {late}")  # the first error is raised
             raise
         await self._leave()
         return outcome
@@ -182,7 +182,7 @@ class JobRunner:
             await self.become(*self._passed_through(state, result.reason))
 
     def _passed_through(self, state: DaemonState, reason: str) -> tuple[DaemonState, str]:
-        """The state after those that have nothing to do: IDLE with a job ready, CHANGING with its part in."""
+        """Return the state after skipping IDLE with a job ready and CHANGING with its part in."""
         if state is DaemonState.IDLE and self.jobs.ready:
             state, reason = following(state, StateEvent.NEXT), self._to_change()
         if state is DaemonState.CHANGING and self._is_part_in():
@@ -195,17 +195,17 @@ class JobRunner:
             await self._cell.close()
 
     def _standing(self, state: str, reason: str, *, killed: bool = False) -> events.StateChanged:
-        """The state, with what the devices confirmed; ``killed``: as it is if the daemon is killed in this state."""
+        """Return the state with the safety of the devices; ``killed``: if the daemon is killed in this state."""
         unsafe = killed_safety(self._cell.acting) if killed else self._cell.unsafe if self._cell.identities else None
         return safety_of(state, reason, unsafe, queue=self.jobs.of_queue)
 
     def failure(self, error: Exception) -> events.DaemonFailed:
-        """The event of an error that ends the daemon, with the state in which the cell is left."""
+        """Return the event of an error that ends the daemon, with the state of the cell."""
         kind = type(error).__name__
         return events.DaemonFailed(error=str(error), kind=kind, standing=self._standing("failed", "").standing)
 
-    def last_words(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
-        """The exit record: outcome, reason, causes, what the devices confirmed, and what to do."""
+    def exit_facts(self, outcome: Outcome, failure: Exception | None) -> dict[str, Any]:
+        """Return the exit record: outcome, reason, causes, safety of the devices, next action."""
         found = causes(self.job.journal, failure)
         reason = f"{type(failure).__name__}: {failure}" if failure else self.reason
         return {
@@ -213,7 +213,7 @@ class JobRunner:
             "exit_code": getattr(failure, "exit_code", 1) if failure else EXIT_CODES[outcome],
             "causes": [asdict(cause) for cause in found],
             "notes": [str(cause) for cause in found],
-            **({} if failure else self.jobs.last_words(outcome)),
+            **({} if failure else self.jobs.exit_facts(outcome)),
             **({"run_dir": str(self.jobs.run_dir())} if self.jobs.folder else {}),
         }
 
@@ -221,7 +221,7 @@ class JobRunner:
 
     async def _start(self) -> StateResult:
         before = self.job.journal.held_last() if self.jobs.of_queue else ""
-        stop = await run_unless_commanded(self._orders.asked_to_stop(), self._cell.open(self._busy))
+        stop = await run_unless_commanded(self._orders.stop_command(), self._cell.open(self._busy))
         if stop is not None:
             return StateResult(StateEvent.STOP, self._stopped_by(stop))
         self.bus.publish(events.CellOpened(devices=self._cell.identities))
@@ -237,7 +237,7 @@ class JobRunner:
         await self.become(following(self.state, StateEvent.BUSY), what)
 
     async def _unless_interrupted(self, work: Callable[[], Awaitable[_T]]) -> _T | OperatorCommand:
-        """The result of the work, or the command that ended it. SafetyStop where the journal is lost meanwhile."""
+        """Return the result of the work, or the command that ended it. SafetyStop if the journal is lost meanwhile."""
         done: list[_T] = []
 
         async def run() -> None:
@@ -248,12 +248,12 @@ class JobRunner:
         return done[0] if order is None else order
 
     async def _next(self) -> StateResult:
-        """Between jobs, or back in a job over which the cell was held."""
+        """Begin the next job, or go on with the job that held the cell."""
         found = await self._unless_interrupted(self._go_on if isinstance(self.job, Job) else self._begin)
         return self._interrupted(found) if isinstance(found, OperatorCommand) else found
 
     async def _go_on(self) -> StateResult:
-        """Go on with the job under way, once it is sure that no other cell has its part meanwhile."""
+        """Go on with the job under way, unless the shop has assigned its part to another cell."""
         if lost := await self._queued().claims.settled(self.jobs.entry):
             return await self._ended(JobResult("set aside", lost, ""))
         return StateResult(StateEvent.NEXT, self._to_change())
@@ -267,7 +267,7 @@ class JobRunner:
             await jobs.begin(entry)
         except PolishdError as error:
             if not jobs.queue.holds(entry):
-                return StateResult(StateEvent.ENDED)  # it was taken out meanwhile
+                return StateResult(StateEvent.ENDED)  # it was removed meanwhile
             verdict = jobs.judge(error)
             if verdict is None:
                 raise
@@ -275,7 +275,7 @@ class JobRunner:
         return StateResult(StateEvent.NEXT, self._to_change())
 
     def _queued(self) -> QueuedJobs:
-        """Where the jobs come from, in states that a single job passes through."""
+        """Return the queue, in states that a single job skips."""
         return cast(QueuedJobs, self.jobs)
 
     def _refused(self, entry: QueueEntry, verdict: JobResult, result: StateResult = ENDED) -> StateResult:
@@ -284,9 +284,9 @@ class JobRunner:
         return _after(verdict, entry.name, result)
 
     async def _change(self) -> StateResult:
-        """Put the job's part in. No loader moves before every device has confirmed that it is safe."""
+        """Put in the job's part. The loader moves only after every device has confirmed that it is safe."""
         if self.jobs.entry is None:
-            raise RuntimeError("a fault of polishd: no job is under way; please report it")
+            raise RuntimeError("a fault of polishd: no job is under way. Please report it")
         part, port = self.jobs.entry.part_id, self._cell.used.get("loader")
         if port is None:
             return await self._changed_by_person(self.jobs.entry.name, part)
@@ -311,7 +311,9 @@ class JobRunner:
 
     async def _changed_by_person(self, job: str, part: str) -> StateResult:
         if not self._holds:
-            raise DeviceRefused(f"a person is to put part {part!r} in, and --no-hold waits for none; see docs/queue.md")
+            raise DeviceRefused(
+                f"an operator has to put part {part!r} in, but --no-hold waits for none; see docs/queue.md"
+            )
         self._part_in = ""
         standing = self._standing(DaemonState.CHANGING, "").standing
         self.bus.publish(events.PartRequested(job=job, part_id=part, standing=standing))
@@ -327,7 +329,7 @@ class JobRunner:
         return StateResult(StateEvent.RESUME)
 
     async def _load(self, loader: PartLoader, part: str) -> None:
-        """Load a part, and ask the loader for it; the next map proves it."""
+        """Load a part and read back which one is on the seat; the next map verifies it."""
         if await loader.loaded() not in {None, part}:
             await loader.unload()
         await loader.load(part)
@@ -346,7 +348,7 @@ class JobRunner:
         if torn:
             await make_safe(self._cell)
             if self._cell.unsafe:
-                return result  # it ends the daemon, and the job stays open: an operator has to look first
+                return result  # it ends the daemon, and the job stays open: an operator has to check first
             await settle_interrupted_pass(self._cell, self.job.journal)
         return await self._over(end, result, torn=torn)
 
@@ -375,7 +377,7 @@ class JobRunner:
         return StateResult(order.verb, self._held_by(order, settled))
 
     async def _over(self, end: Outcome | PolishdError, result: StateResult, *, torn: bool = False) -> StateResult:
-        """End the job by its verdict; the result itself where the job is not over."""
+        """End the job with its verdict; return the result unchanged if the job goes on."""
         verdict = self._queued().judge(end, torn=torn)
         return result if verdict is None else await self._ended(verdict, result)
 
@@ -383,26 +385,26 @@ class JobRunner:
         entry, failure = self.jobs.entry, result.error
         if failure is not None:
             self.bus.publish(events.CellHeld(error=str(failure), kind=type(failure).__name__))
-            self._error = failure  # published with the job that is still under way
+            self._error = failure  # published while the job is still under way
         if verdict.how == "set aside":
-            self._part_in = ""  # it may be another part, or be fixed wrongly: an operator puts it in again
-        last = self.last_words(result.outcome, failure)
+            self._part_in = ""  # it may be another part or be mounted wrongly: an operator puts it in again
+        last = self.exit_facts(result.outcome, failure)
         name = entry.name if entry else ""
         facts = {"job": name, "verdict": verdict.how, "reason": verdict.reason, "next": verdict.stops}
         outcome = "failed" if failure else "set aside" if verdict.how == "set aside" else result.outcome.value
         notes = [*last["notes"], *([verdict.reason] if verdict.how == "set aside" else [])]
         await self._queued().end(verdict, {**last, **figures(self.job), **facts, "outcome": outcome, "notes": notes})
-        gc.collect()  # its passes froze their garbage: the maps and plans of hundreds of parts would stay
+        gc.collect()  # its passes froze their garbage, such as maps and plans
         return _after(verdict, name, result)
 
     async def _wait(self) -> StateResult:
-        """Until a command changes something or is refused, or the job is set aside over which the cell is held."""
+        """Wait until a command succeeds or is refused, or the job that holds the cell is set aside."""
         done: list[StateResult] = []
 
         async def obey() -> None:
             done.append(await self._obey())
 
-        aside = await run_unless_commanded(self._asked_aside(), obey())
+        aside = await run_unless_commanded(self._next_aside(), obey())
         if aside is not None:
             kind = type(self._error).__name__ if self._error else ""
             reason = aside.reason or f"{BY_A_PERSON}, held over: {self.reason}"
@@ -411,7 +413,7 @@ class JobRunner:
                 return self._refused(begun, verdict)
             return await self._ended(verdict)
         if done[0].trigger is StateEvent.RESUME and self.jobs.of_queue:
-            self._seen = self.job.journal.cut_off()  # the reason for which it was held named it
+            self._seen = self.job.journal.cut_off()  # the reason of the hold named it
         return done[0]
 
     async def _obey(self) -> StateResult:
@@ -420,11 +422,11 @@ class JobRunner:
         if order.verb is StateEvent.STOP:
             return StateResult(order.verb, self._stopped_by(order), error=self._error)
         if order.verb is not StateEvent.RESUME:
-            said = f"{self.reason}; {order.said(ORDERED)}" if order.reason else self.reason
-            return StateResult(order.verb, said, error=self._error)
+            reason = f"{self.reason}; {order.describe(ORDERED)}" if order.reason else self.reason
+            return StateResult(order.verb, reason, error=self._error)
         try:
             if (
-                stop := await run_unless_commanded(self._orders.asked_to_stop(), self._cell.restore_links())
+                stop := await run_unless_commanded(self._orders.stop_command(), self._cell.restore_links())
             ) is not None:
                 return StateResult(StateEvent.STOP, self._stopped_by(stop), error=self._error)
             refused = await self._made_safe()
@@ -436,7 +438,7 @@ class JobRunner:
         return refused or StateResult(StateEvent.RESUME)
 
     async def _made_safe(self) -> StateResult | None:
-        """Make the cell safe. None where every device confirmed and no pass was left open; nothing moves before."""
+        """Make the cell safe. None if every device confirmed and no pass was left open; nothing moves before."""
         await make_safe(self._cell)
         if self._cell.unsafe:
             error = DeviceFault(f"not confirmed to be safe: {'; '.join(self._cell.unsafe)}")
@@ -448,7 +450,7 @@ class JobRunner:
         return self._failed(HostFault(unfit), StateEvent.UNFIT) if unfit else None
 
     def _failed(self, error: Exception, mended: StateEvent = StateEvent.MENDABLE) -> StateResult:
-        """The transition after an error: an operator mends its cause meanwhile, except where it cut off a pass."""
+        """Return the transition after an error: held for an operator, or the end if it interrupted a pass."""
         error = named(error)
         waits = isinstance(error, PolishdError) and error.mendable and bool(self._cell.identities)
         if self.state is DaemonState.POLISHING:
@@ -458,7 +460,7 @@ class JobRunner:
     # orders
 
     def _endangered(self, what: str, error: type[PolishdError] = HostFault) -> None:
-        """Leave contact while that is still possible. An error that cannot be mended replaces one that can."""
+        """Leave contact while that is possible. An error that an operator cannot mend replaces one that he can."""
         if self.state is DaemonState.POLISHING and self._unfit is None:
             self._unfit = OperatorCommand(StateEvent.UNFIT, what, error)
             self._orders.give(self._unfit)
@@ -466,23 +468,23 @@ class JobRunner:
             self._unfit.worsen(what, error)
 
     def _wrong(self, limits: SignalLimits, what: str) -> None:
-        """A signal is outside its limits in contact; the limits say what follows."""
+        """Handle a signal outside its limits in contact, by the action of its limits."""
         self.bus.publish(events.SignalOutOfRange(signal=limits.name, what=what, action=limits.action))
         if limits.action != "notify":
             self._endangered(what, SafetyStop if limits.action == "lift" else SignalFault)
 
     def _held_by(self, order: OperatorCommand, settled: str) -> str:
-        """The reason while the cell is held: the order, where it says more than what it interrupted, and that."""
-        said = [EMERGENCY] if self._cell.emergency else []
-        said += [order.said(ORDERED)] if order.reason or not settled else []
-        return "; ".join([*said, settled] if settled else said)
+        """Return the reason of the hold: the command, if it has a reason or closed no pass, and the closed pass."""
+        parts = [EMERGENCY] if self._cell.emergency else []
+        parts += [order.describe(ORDERED)] if order.reason or not settled else []
+        return "; ".join([*parts, settled] if settled else parts)
 
     def _stopped_by(self, order: OperatorCommand) -> str:
-        """The reason at the end, with that of the order to stop."""
-        return f"{order.said(STOPPED)}; {self.reason}".removesuffix("; ") if order.reason else self.reason
+        """Return the reason at the end, with the reason of the command to stop."""
+        return f"{order.describe(STOPPED)}; {self.reason}".removesuffix("; ") if order.reason else self.reason
 
     async def become(self, state: DaemonState, reason: str) -> None:
-        """Change state, wake those that wait for a command to be obeyed or refused, and publish it."""
+        """Change and publish the state, and wake the handlers that wait for a command to be obeyed or refused."""
         if state is DaemonState.HELD and IN_THE_WAY not in reason and self._in_the_way():
             reason = f"{reason}; {IN_THE_WAY}"
         async with self._changed:
@@ -491,11 +493,11 @@ class JobRunner:
         self.bus.publish(self._standing(state, reason, killed=state not in {DaemonState.HELD, DaemonState.FINISHED}))
 
     async def _order(self, verb: StateEvent, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        """Give an order, and answer once it is obeyed. DeviceRefused where the cell stays held, with the reason."""
+        """Give a command and answer when it is obeyed. DeviceRefused with the reason if the cell stays held."""
         order = OperatorCommand(verb, " ".join(reason.split()))
         self._cell.emergency = self._cell.emergency or verb is StateEvent.ESTOP
         self._orders.give(order)
-        with suppress(PolishdError):  # a lost journal: polishing ends over it, and the order is obeyed all the same
+        with suppress(PolishdError):  # a lost journal ends polishing, and the command is obeyed
             self.bus.publish(events.CommandReceived(order=verb, reason=order.reason, by=by))
         async with self._changed:
             await self._changed.wait_for(lambda: order.refused or order.taken or self.state in obeyed(verb))
@@ -504,13 +506,13 @@ class JobRunner:
         return {"state": self.state, "reason": self.reason, "next": next_action(self.state, queue=self.jobs.of_queue)}
 
     async def _remove(self, job: str, reason: str = "", by: str = "") -> Mapping[str, Any]:
-        """Take a job out that waits, or put the job aside over which the cell is held."""
+        """Remove a waiting job, or set aside the job that holds the cell."""
         entry = self._under_way()
         if entry is None or entry.name != job:
             return await self._requests.remove_waiting(job, reason, by)
         if self.state is not DaemonState.HELD or self._cell.unsafe:
             why = "a device is not confirmed to be safe" if self._cell.unsafe else f"the cell is {self.state}"
-            raise DeviceRefused(f"{job!r} is under way, and {why}: hold the cell first (polishd hold)")
+            raise DeviceRefused(f"{job!r} is under way, and {why}. Hold the cell first (polishd hold)")
         aside = OperatorCommand(StateEvent.ENDED, " ".join(reason.split()))
         self.bus.publish(
             events.CommandReceived(order="queue_remove", reason=": ".join(filter(None, (job, aside.reason))), by=by)
@@ -522,13 +524,13 @@ class JobRunner:
             raise DeviceRefused(f"{job!r} goes on: another command came first")
         return await self._requests.list()
 
-    async def _asked_aside(self) -> OperatorCommand:
-        while not self._goes_on((asked := await self._asides.get())[0]):
+    async def _next_aside(self) -> OperatorCommand:
+        while not self._goes_on((aside := await self._asides.get())[0]):
             pass
-        return asked[1]
+        return aside[1]
 
     def _under_way(self) -> QueueEntry | None:
-        """The job that is under way, or being made ready."""
+        """Return the job that is under way or being prepared."""
         return self.jobs.entry or self.jobs.queue.under_way()
 
     def _goes_on(self, entry: QueueEntry) -> bool:
@@ -543,7 +545,7 @@ class JobRunner:
         return StateResult(order.verb, self._held_by(order, ""))
 
     def _in_the_way(self) -> bool:
-        """The robot may stand over the part, where the loader moves."""
+        """Return whether the robot may stand over the part, where the loader moves."""
         left = self.job.journal.cut_off() if self.jobs.of_queue and "loader" in self._cell.used else None
         return left is not None and left != self._seen
 
@@ -552,15 +554,15 @@ class JobRunner:
         self.bus.publish(events.PartChanged(part_id=part, by=by))
 
     def _to_change(self) -> str:
-        """The reason that ``status`` gives while the part is changed."""
+        """Return the reason in ``status`` while the part is changed."""
         entry = self.jobs.entry
         if entry is None or self._is_part_in():
             return ""
-        who = "the loader puts" if "loader" in self._cell.used else "a person is to put"
+        who = "the loader puts" if "loader" in self._cell.used else "an operator has to put"
         return f"{entry.name}: {who} part {entry.part_id!r} in"
 
     def _is_part_in(self) -> bool:
-        """Of a single job, whose part an operator put in before the start, or where the part of the job is in."""
+        """Return whether the part is in; for a single job an operator put it in before the start."""
         entry = self.jobs.entry
         return entry is None or ("loader" not in self._cell.used and entry.part_id == self._part_in)
 
@@ -573,20 +575,20 @@ def _after(verdict: JobResult, name: str, result: StateResult) -> StateResult:
     return replace(result, trigger=StateEvent.STOPS, reason=reason, error=error)
 
 
-def _tell_broken(bus: EventBus, error: BaseException) -> None:
-    """Publish at once that contact is left: the devices take seconds to confirm."""
-    with suppress(PolishdError):  # a lost journal: polishing ends over it
+def _publish_abort(bus: EventBus, error: BaseException) -> None:
+    """Publish at once that contact is left, because the devices take seconds to confirm."""
+    with suppress(PolishdError):  # a lost journal ends polishing
         bus.publish(events.ContactAborted(error=str(error), kind=type(error).__name__))
 
 
 async def run_until_finished(daemon: JobRunner) -> tuple[Outcome, Exception | None]:
-    """Run it. An error that ends it is logged, published and returned."""
+    """Run the daemon; log, publish and return an error that ends it."""
     try:
         await daemon.become(DaemonState.STARTING, "")
         return await daemon.run(), None
     except Exception as raised:
         error = named(raised)
         log.exception("the daemon ends")
-        with suppress(PolishdError):  # a lost journal: that is what ended it
+        with suppress(PolishdError):  # a lost journal may have ended it
             daemon.bus.publish(daemon.failure(error))
         return Outcome.STOPPED, error

@@ -1,4 +1,4 @@
-"""By what a part is accepted: its figure as measured, or the bound of what it truly is (docs/tolerance.md)."""
+"""Acceptance of a part by its measured figure, or by the bound of its true error (docs/tolerance.md)."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from polishd.process.metrology.uncertainty import (
 )
 
 MOST_SAMPLES = 20_000
-"""Of a map by which its bound is told: the square of its RMS is known to 1 % from so many."""
-NOT_KNOWN = "nothing is known of the instrument's own error (polishd calibrate instrument)"
+"""Of a map, for its bound: with so many samples the square of the RMS is known to 1 %."""
+NOT_KNOWN = "the instrument's error is not known. Run polishd calibrate instrument"
 
 
 def bounded(
     recipe: Recipe, judged: tuple[LineResult, ...], figure_nm: FloatArray, clear: BoolArray, pitch_mm: float
 ) -> tuple[LineResult, ...]:
-    """What was measured of each line, with the bound of what is true where the job is accepted by that.
+    """Return the result of each line, with the bound of its true value where the job is accepted by that.
 
     Args:
-        recipe: whose lines they are.
-        judged: each line, in the recipe's order.
-        figure_nm: (ny, nx) on the map's own pixels, without what is alignment; finite inside ``clear``.
+        recipe: with the lines.
+        judged: result of each line, in the recipe's order.
+        figure_nm: (ny, nx) on the map's pixels, without the alignment terms; finite inside ``clear``.
         clear: (ny, nx) clear aperture.
         pitch_mm: distance of samples.
     """
@@ -63,9 +63,9 @@ def bounded(
 
 
 def errors_of(recipe: Recipe, *, periods: bool = False) -> MapErrors:
-    """Of one map, less the system map where there is one.
+    """Return the errors of one map, less the system map where there is one.
 
-    ``periods``: of some periods only. How much noise they have nobody knows, so that it counts as figure.
+    ``periods``: of some periods only. Their noise is not known and counts as figure.
     """
     instrument = recipe.instrument
     white = 0.0 if periods or instrument is None else instrument.repeatability_nm or 0.0
@@ -77,7 +77,7 @@ def errors_of(recipe: Recipe, *, periods: bool = False) -> MapErrors:
 
 
 def demanded(recipe: Recipe) -> tuple[RemeasureAdvice, ...]:
-    """References without which no map of this instrument can be accepted: known before there is one."""
+    """Return the references without which no map of this instrument can be accepted; no map is needed for this."""
     if recipe.accept == "figure":
         return ()
     limit = min(line.limit for line in recipe.lines if line.bounded)
@@ -85,28 +85,28 @@ def demanded(recipe: Recipe) -> tuple[RemeasureAdvice, ...]:
 
 
 def reason_never_acceptable(recipe: Recipe) -> str:
-    """Why no map can be accepted, and what to do; empty where one may."""
+    """Return why no map can be accepted, and what to do; empty where one can."""
     if not (wanted := demanded(recipe)):
         return ""
-    told = "; ".join(f"{one.name}, {one.prior_nm:.3g} nm by itself: {one.reference}" for one in wanted)
+    unknown = "; ".join(f"{one.name}, alone {one.prior_nm:.3g} nm: {one.reference}" for one in wanted)
     waiver = (
-        ' (calibrate instrument --power), or say job.accept_by = "bound_without_power": the certificate then says so'
+        ' (calibrate instrument --power), or set job.accept_by = "bound_without_power", which the certificate shows'
     )
     power = waiver if "power" in {one.name for one in wanted} else ""
     return (
-        f"no map can be accepted by the bound of its true RMS, for nothing has told of the instrument: {told}. Measure "
-        f"that{power}"
+        "no map can be accepted by the bound of its true RMS: the instrument's error is not known in "
+        f"{unknown}. Measure it{power}"
     )
 
 
 def require_acceptable(recipe: Recipe) -> None:
-    """ConfigError where no map could be accepted: polishing would be for nothing."""
+    """ConfigError where no map could be accepted, so that polishing would be in vain."""
     if never := reason_never_acceptable(recipe):
         raise ConfigError(f"job.accept_by = {recipe.accept!r}: {never} (nothing was opened)")
 
 
 def acceptance_words(recipe: Recipe) -> str:
-    """By what a part is accepted, for ``check``."""
+    """Return the rule of acceptance, for ``check``."""
     if recipe.accept == "figure":
         known = "the instrument's system map is off" if recipe.system is not None else NOT_KNOWN
         return f"as measured: {known}"
@@ -125,7 +125,7 @@ def _degree(recipe: Recipe) -> int:
 
 
 def _some(mask: BoolArray) -> BoolArray:
-    """At most so many of its samples, drawn: a lattice could lie on the lines of a raster."""
+    """Return a random choice of at most ``MOST_SAMPLES`` samples: a regular choice could match the raster's lines."""
     inside = np.flatnonzero(mask)
     if inside.size <= MOST_SAMPLES:
         return mask
@@ -134,16 +134,16 @@ def _some(mask: BoolArray) -> BoolArray:
     return some.reshape(mask.shape)
 
 
-# What a planned pass is expected to leave, from what the recipe and the cycles know.
+# Forecast of the surface after a planned pass.
 
 SIGMAS = 3.0
-"""Of the rate before anything was learned: what ``limits.max_rate_change`` refuses is so many standard errors off."""
+"""``limits.max_rate_change`` is so many standard errors of the rate before the first estimate."""
 SMOOTHED = 0.03
-"""Share of a mean square that means over cells may take from a surface that a spot follows: periods of ten cells."""
+"""Share of the mean square that averaging over cells may remove from periods of ten cells, which a spot corrects."""
 
 
 def forecast_of(recipe: Recipe, measured: MeasureResult, plan: Plan, believed: EstimatesInUse) -> Forecast:
-    """Of a plan that was made for that surface by what was believed."""
+    """Return the forecast of a plan for that surface with those estimates."""
     mask, alignment = measured.metric_mask, recipe.part.alignment
     maps = (measured.height_nm, plan.predicted_removal_nm)
     now, removal = (remove_terms(one, mask, alignment)[mask] for one in maps)
@@ -161,7 +161,7 @@ def forecast_of(recipe: Recipe, measured: MeasureResult, plan: Plan, believed: E
 
 
 def noise_nm(recipe: Recipe, measured: MeasureResult) -> float:
-    """RMS of a map's noise on the process grid, as far as anybody has said: a cell is the mean of its samples."""
+    """Return the RMS of a map's noise on the process grid, where a cell is the mean of its samples; 0 if unknown."""
     one = 0.0 if recipe.instrument is None else recipe.instrument.repeatability_nm or 0.0
     if measured.map_grid is None:
         return one
@@ -169,12 +169,12 @@ def noise_nm(recipe: Recipe, measured: MeasureResult) -> float:
 
 
 def ripple(recipe: Recipe, before: MeasureResult, after: MeasureResult, removed_nm: float) -> float:
-    """What a pass has added to what is finer than the process grid, relative to the RMS of all that it removed."""
+    """Return the RMS that a pass added below the process grid, relative to the RMS of its removal."""
     return max(_finer_nm(recipe, after) - _finer_nm(recipe, before), 0.0) / removed_nm
 
 
 def _finer_nm(recipe: Recipe, measured: MeasureResult) -> float:
-    """RMS of what the map shows on its own samples, and neither the process grid does nor its noise explains."""
+    """Return the RMS of the map below the process grid, without its noise."""
     mask = measured.metric_mask
     coarse = remove_terms(measured.height_nm, mask, recipe.part.alignment)[mask].std()
     square = measured.figure_nm**2 - coarse**2 - _finer_noise_nm(recipe, measured) ** 2
@@ -182,7 +182,7 @@ def _finer_nm(recipe: Recipe, measured: MeasureResult) -> float:
 
 
 def _finer_noise_nm(recipe: Recipe, measured: MeasureResult) -> float:
-    """RMS of a map's noise on its own samples that is gone on the process grid, as far as anybody has said."""
+    """Return the RMS of a map's noise below the process grid; 0 if unknown."""
     one = 0.0 if recipe.instrument is None else recipe.instrument.repeatability_nm or 0.0
     return float(np.sqrt(one**2 - noise_nm(recipe, measured) ** 2))
 

@@ -36,7 +36,7 @@ class Accept:
 
 @dataclass(frozen=True, slots=True)
 class Diverge:
-    """The surface is clearly worse than the best one so far."""
+    """The surface is significantly worse than the best one so far."""
 
     outcome: Outcome = Outcome.DIVERGED
 
@@ -112,7 +112,7 @@ def decide(
     return passes_used(recipe) if passes_left <= 0 else AnotherPass()
 
 
-def worthless_pass(recipe: Recipe, forecast: Forecast | None) -> Finding | None:
+def small_gain_finding(recipe: Recipe, forecast: Forecast | None) -> Finding | None:
     """Return a finding where the planned pass will hardly reduce the error; None where the job makes the pass.
 
     ``forecast``: of the planned pass; None where the plan has none.

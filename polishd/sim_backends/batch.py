@@ -72,7 +72,7 @@ class BatchPlant:
     def measure(self, wait_s: float, rotation_deg: float, shift_px: tuple[int, int]) -> FloatArray:
         """Return a map, nm, NaN outside, ``wait_s`` after the last contact, of the turned and shifted part."""
         if rotation_deg % 90:
-            raise BatchRequestError(f"rotation_deg: {rotation_deg:g} is no quarter turn; give 0, 90, 180 or 270")
+            raise BatchRequestError(f"rotation_deg: {rotation_deg:g} is no quarter turn. Set 0, 90, 180 or 270")
         self.now_s += wait_s
         world = self.world
         height = world.part.map_nm() + parts.swelling_nm(world.part, self.config, self.now_s - world.polished_s)
@@ -113,7 +113,7 @@ def _checked(blocks: dict[str, FloatArray]) -> tuple[FloatArray, ...]:
             raise BatchRequestError(f"arrays: {name} is missing; polish takes {', '.join(wide)}")
         if not count or blocks[name].shape != shape:
             raise BatchRequestError(
-                f"arrays: {name} is of shape {blocks[name].shape}; it wants {shape}, one row a block"
+                f"arrays: {name} is of shape {blocks[name].shape}; expected {shape}, one row for each block"
             )
         if not np.isfinite(blocks[name]).all():
             raise BatchRequestError(f"arrays: {name}: block {_first(~np.isfinite(blocks[name]))} is not finite")
@@ -156,7 +156,7 @@ class BatchServer:
         """Return the answer to one request. BatchRequestError where it is invalid; nothing has been done then."""
         verb = message.get("do")
         if verb not in {"new", "polish", "measure", "truth"}:
-            raise BatchRequestError(f"do: {verb!r} is none of new, polish, measure, truth")
+            raise BatchRequestError(f"do: {verb!r} must be new, polish, measure or truth")
         if verb == "new":
             try:
                 self._plant = of(_section(message, "config"), _whole(message, "seed"))
@@ -165,7 +165,7 @@ class BatchServer:
                 raise BatchRequestError("; ".join(wrong)) from error
             return {"done": verb}, {}
         if self._plant is None:
-            raise BatchRequestError(f"do: {verb} before there is a plant; send new first")
+            raise BatchRequestError(f"do: {verb} without a plant. Send new first")
         if verb == "polish":
             executed = self._plant.polish(arrays)
             return {"done": verb, "now_s": self._plant.now_s}, executed

@@ -141,11 +141,11 @@ class CaseFactory:
         _, source = self._once(f"sim {path}", lambda: load_plant(path))
         stands: list[tuple[Location, Location]]
         stands = [((a, b), ("plant", a, b)) for a, keys in wrong.plant.items() for b in keys]
-        swept = dict(study.source.stands_for)
+        swept = dict(study.source.written_at)
         for a, keys in study.plant_with.items():
             stands += [((a, b), swept.get(("plant_with", a, b), ("plant_with", a, b))) for b in keys]
         included = (*source.included, study.source, wrong.source)
-        places = replace(source, included=included, stands_for=(*stands, *source.stands_for))
+        places = replace(source, included=included, written_at=(*stands, *source.written_at))
         try:
             SimConfig.model_validate(self.plant(study, scenario))
         except ValidationError as error:

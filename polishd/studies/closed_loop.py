@@ -34,7 +34,7 @@ from polishd.pipeline.decisions import (
     Stalled,
     ToolWorn,
     decide,
-    worthless_pass,
+    small_gain_finding,
 )
 from polishd.pipeline.dwell_step import require_certificate
 from polishd.pipeline.recipe import Recipe
@@ -367,7 +367,7 @@ class _Job:
             require_certificate(solved.dwell.certificate, recipe)
             plan = steps.rewrite(recipe, program, solved, program.name)
             planned = self._planned(plan, solved, surface)
-            if worthless_pass(recipe, planned.forecast):
+            if small_gain_finding(recipe, planned.forecast):
                 return _Ended(Outcome.STALLED.value)
             last = (planned, *self._execute(plan))
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)

@@ -55,10 +55,9 @@ kind = "modbus_rtu"
 [spindle]
 kind = "slcan"
 """
-"""The cell's part, with the substitute of each port. The robot holds the tool's tip on the part, so that the actuator
-has something to press on."""
+"""The robot holds the tool's tip on the part, so that the actuator can press on it."""
 ALWAYS = ("robot", "actuator", "spindle")
-"""Sections that are in it."""
+"""Sections that SIM has."""
 
 
 def require_simulated(config: CellConfig, names: Sequence[str]) -> None:

@@ -38,7 +38,7 @@ OLD_S = 2.0
 M_PER_NM, BYTES_PER_MB, HZ_PER_RPM = 1e-9, 1e6, 1 / 60
 STATES = ("starting", "idle", "changing", "polishing", "held", "finished")
 """States of a daemon; a test compares them with its table."""
-OUTCOMES = (*(outcome.value for outcome in Outcome), "put_aside")
+OUTCOMES = (*(outcome.value for outcome in Outcome), "set_aside")
 """Exported from the first scrape on, at 0: a rate would miss a counter that appears at 1."""
 READINGS = (
     ("force", "force_n", "polishd_force_newtons", "Force that the actuator measures.", 1.0),

@@ -12,6 +12,7 @@ import pytest
 
 from tests.arch import code_rules, repository_rules
 from tests.arch.source import Rule, forget
+from tests.arch.words import plain_words
 
 ROOT = Path(__file__).resolve().parents[2]
 # Cells, studies, profiles; the simulator's own config is loaded by tests/system/test_sim_cell.py.
@@ -26,7 +27,9 @@ def _parsed_for_these_alone() -> Iterator[None]:
     forget()
 
 
-@pytest.mark.parametrize("rule", [*code_rules.RULES, *repository_rules.RULES], ids=lambda rule: rule.__name__)
+@pytest.mark.parametrize(
+    "rule", [*code_rules.RULES, *repository_rules.RULES, plain_words], ids=lambda rule: rule.__name__
+)
 def test_the_tree_keeps(rule: Rule) -> None:
     broken = rule(ROOT)
     assert not broken, "\n".join([str(rule.__doc__), *broken])

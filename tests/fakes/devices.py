@@ -86,7 +86,7 @@ class FakeDevice:
         self.clock = clock
         self.acts = Behaviour()
         self.is_open = False
-        self.tells = DeviceStatus(ready=True, safe=True, state="idle")
+        self.status_reply = DeviceStatus(ready=True, safe=True, state="idle")
 
     async def did(self, call: str, detail: str = "") -> None:
         self.events.append(f"{self.name}.{call}{detail}")
@@ -111,7 +111,7 @@ class FakeDevice:
 
     async def status(self) -> DeviceStatus:
         await self.did("status")
-        return self.tells
+        return self.status_reply
 
     async def make_safe(self) -> None:
         await self.did("make_safe")

@@ -77,7 +77,7 @@ class IdealDrive:
             coil.retract()
         return ""
 
-    def heard(self) -> None:
+    def on_request(self) -> None:
         if not self._beats:
             self.coil.feed()
 

@@ -22,23 +22,24 @@ LINKS = (
     "the page",
 )
 """In this order."""
-HEAD = """# Peers that nobody here wrote
+HEAD = """# Interoperability: peers of other authors
 
 <!-- Written by `make interop`. -->
 
-Each link of polishd, and each simulated device, was tried with programs and libraries of others at its far end. A
-library at its own server proves nothing, so each row says which end the peer was; ours was the other. A server, a slave
-or a node was worked by polishd's driver; a client or a master worked polishd's simulated device. Of ADS and CANopen the
-driver has its client from the same library (pyads, canopen) as the server: there it shows only that we use it rightly.
+This page lists the programs and libraries of other authors with which each link and each simulated device of polishd
+was tested. A test of a library against its own server proves nothing, so each row states which end the peer was;
+polishd was the other. polishd's driver tested a server, a slave or a node; a client or a master tested polishd's
+simulated device. For ADS and CANopen the driver and the server use the same library (pyads, canopen): there the test
+only shows that polishd uses it correctly.
 
 `make interop` fetches the peers of PyPI and npm ([requirements.txt](../tests/interop/requirements.txt),
-[package.json](../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page. Those of
-Debian are for whoever may install them. A peer that is not there is skipped by its name.
+[package.json](../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page.
+An administrator must install those of Debian. A missing peer is skipped by its name.
 
     apt-get install DEBIAN
 """
 FOOT = """
-The rows say what the tests are called; each is in `tests/interop`, in the file of its peer. Not tried: a real PLC, a
+The rows have the names of the tests in `tests/interop`, in the file of each peer. Not tested: a real PLC, a
 real inverter, TwinCAT's own router, OPC UA with certificates.
 """
 

@@ -1,4 +1,4 @@
-"""Peers that nobody here wrote: which there are, and how one that is a process is talked to."""
+"""Peers of other authors, and how to talk to one that is a process."""
 
 from __future__ import annotations
 

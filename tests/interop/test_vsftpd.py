@@ -74,7 +74,7 @@ def folder() -> Iterator[Path]:
         yield Path(made)
 
 
-async def test_it_takes_programs_and_refuses_where_nobody_may_write(folder: Path) -> None:
+async def test_it_takes_programs_and_refuses_a_folder_without_write_permission(folder: Path) -> None:
     with server(folder) as port:
         await takes_programs(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "nc")), folder / "root" / "nc")
         await refuses(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "")), folder / "root", "cannot be put there")

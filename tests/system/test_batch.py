@@ -65,7 +65,7 @@ def test_a_pass_and_what_is_wrong_with_requests() -> None:
     )
     early, unknown, _, (_, before), short, (done, executed), (_, seen), (_, after) = answers
     assert code == 0
-    assert "send new first" in early[0]["error"]
+    assert "Send new first" in early[0]["error"]
     assert "config.plant.colour" in unknown[0]["error"]
     assert "rpm is of shape (3,)" in short[0]["error"]
     assert done["now_s"] == pytest.approx(4.0)

@@ -168,7 +168,7 @@ def test_neither_side_acts_on_a_frame_with_one_wrong_bit(
 
 MODBUS, ASCII = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
 (LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
-(IDENTITY,) = codec.blocks(MODBUS.registers, MODBUS.identity_values, 125)
+(IDENTITY,) = codec.blocks(MODBUS.registers, MODBUS.identifying, 125)
 STATES = ("retracted", "extending", "contact", "retracting", "fault")
 SET_POINT = MODBUS.registers["new_set_point"]
 

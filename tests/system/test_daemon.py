@@ -166,9 +166,7 @@ def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_p
         refused = polishd("run", files.cell)
         assert refused.returncode == 3
         said = refused.stderr.replace("\n", " ")
-        assert (
-            f"part.edge_mm: is {config.part.edge_mm + 1}, the job 'demo' was begun with {config.part.edge_mm}" in said
-        )
+        assert f"part.edge_mm: is {config.part.edge_mm + 1}, the job 'demo' began with {config.part.edge_mm}" in said
         assert "program.path: is program.rnc (sha256 " in said
         assert "restore what differs, or give job.id a new name" in said
         files.cell.write_text(cell)

@@ -130,9 +130,9 @@ def test_whoever_lies_contact_ends_in_the_safe_order_and_he_is_named(tmp_path: P
         require_off_the_part(files)
         assert [event["what"] for event in events(files, "fault_begins")] == ["drift"]
     reason = summary(files)["reason"]
-    assert "the forces disagree: the actuator says " in reason
+    assert "the forces disagree: the actuator reads " in reason
     assert "the set point is 12 N" in reason
-    assert reason.endswith(f"suspected is the {liar}"), reason
+    assert reason.endswith(f"the {liar} is probably wrong"), reason
 
 
 SILENT: dict[str, list[Fault]] = {

@@ -56,7 +56,7 @@ def test_a_daemon_that_is_killed_takes_no_block_as_not_executed(tmp_path: Path, 
         wait_for(lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "rest")
         found = disagreements(files.state_dir / "journal.sqlite", account(files)["programs"])
     assert [one for one in found if "not touched" in one] == []  # when a block ended is known to a report's time
-    assert "as far as the tool can have come: the robot does not remember" in said
+    assert "estimated: the robot has no record of this pass" in said
     (one,) = passes(files.state_dir / "journal.sqlite")
     assert one.uncertain.size > 0
     assert one.uncertain[0] == np.flatnonzero(one.run_s)[-1] + 1, "the first one that nobody was told of"

@@ -85,7 +85,7 @@ def test_probe_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
             (
                 ACTUATOR,
                 ACTUATOR.replace(str(DRIVE), "voice_coil_serial"),
-                r"ST\?: '!unknown.*' within 3 s at 115200 8N1 is no answer; is it another device\?$",
+                r"ST\?: '!unknown.*' within 3 s at 115200 8N1 is not an answer\. Check the device\.$",
             ),
             (ACTUATOR, ACTUATOR.replace("sim/actuator", "sim/none"), r"there is no such port; plug the adapter in"),
         ]

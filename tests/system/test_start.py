@@ -43,7 +43,7 @@ def test_a_robot_that_still_serves_somebody_is_waited_for_and_status_says_so(tmp
         with Daemon(files) as daemon:
             waits = wait_for(lambda: (s := daemon.status()).get("reason") and s, "word of the robot")
             assert waits["state"] == "starting"
-            assert waits["reason"].startswith("robot still serves its last client; it is asked again for up to 128 s")
+            assert waits["reason"].startswith("robot still serves its last client; the daemon retries for up to 128 s")
             other.close()
             daemon.wait_for_state("polishing")
             assert daemon.end() == 1

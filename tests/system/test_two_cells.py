@@ -85,8 +85,8 @@ def test_one_that_dies_in_contact_leaves_the_other_polishing_until_a_signal_stop
     assert {name: end["outcome"] for name, end in told["cells"].items()} == {
         "left-cell": "failed", "right-cell": "stopped"
     }  # fmt: skip
-    assert "left-cell: next: the daemon has ended; when that is mended" in said.replace("\n", " ")
-    assert "right-cell: next: the daemon has ended; to go on" in said.replace("\n", " ")
+    assert "left-cell: next: the daemon has ended; correct the cause" in said.replace("\n", " ")
+    assert "right-cell: next: the daemon has ended; to continue" in said.replace("\n", " ")
 
 
 def section(files: DemoFiles, port: str) -> str:

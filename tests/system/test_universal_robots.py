@@ -111,7 +111,7 @@ def test_a_daemon_that_dies_is_noticed_by_the_controller_after_the_tool_is_up(tm
         before = len(events(files))
         with Daemon(files) as daemon:
             said = daemon.wait_for_state("held")["reason"]
-            assert "as far as the tool can have come: the robot does not remember" in said
+            assert "estimated: the robot has no record of this pass" in said
             assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
             daemon.end()
         assert not alive(daemon.process.pid)

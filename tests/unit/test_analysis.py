@@ -82,5 +82,5 @@ def test_what_cannot_be_is_said(folder: Path) -> None:
         polishd.loop_job("cell.toml", "sim.toml", cell_with={"process.forc_n": 1.0})
     with pytest.raises(ConfigError, match=r"truth\.drft: unknown key"):
         polishd.loop_job("cell.toml", "sim.toml", plant_with={"hidden_truth": {"drft": 1.0}})
-    with pytest.raises(ConfigError, match="is one case"):
+    with pytest.raises(ConfigError, match="is a single case"):
         polishd.run_study(ROOT / "examples" / "table_iii.toml")

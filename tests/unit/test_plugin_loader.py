@@ -96,10 +96,16 @@ BROKEN = {
     "syntax": ("def (:", "SyntaxError"),
     "exits": ("raise SystemExit(3)", "SystemExit: 3"),
     "raises": ("1 / 0", "ZeroDivisionError: division by zero"),
-    "misspelt": ("@hookimpl\ndef polishd_dwel_solvers(): return []", "no hook; did you mean 'polishd_dwell_solvers'?"),
-    "misspelt_unmarked": ("def polishd_on_events(event): pass", "polishd_on_events is no hook; did you mean"),
-    "marked_stranger": ("@hookimpl\ndef something(): return []", "something is no hook. Hooks: 'polishd_check_plan'"),
-    "unmarked": ("def polishd_on_event(event): pass", "polishd_on_event is not marked; put @hookimpl"),
+    "misspelt": (
+        "@hookimpl\ndef polishd_dwel_solvers(): return []",
+        "is not a hook; did you mean 'polishd_dwell_solvers'?",
+    ),
+    "misspelt_unmarked": ("def polishd_on_events(event): pass", "polishd_on_events is not a hook; did you mean"),
+    "marked_stranger": (
+        "@hookimpl\ndef something(): return []",
+        "something is not a hook. Hooks: 'polishd_check_plan'",
+    ),
+    "unmarked": ("def polishd_on_event(event): pass", "polishd_on_event is not marked. Put @hookimpl"),
     "arguments": ("@hookimpl\ndef polishd_on_event(evnt): pass", "evnt"),
     "declares_nothing": ("@hookimpl\ndef polishd_dwell_solvers(): pass", "polishd_dwell_solvers returned None"),
     "declares_one": (
@@ -152,7 +158,7 @@ def test_broken_plugin_is_named_with_its_reason_and_others_go_on(install: Any, n
 @pytest.mark.parametrize(
     ("api", "expected"),
     [
-        (None, "does not say which API it was written for; add POLISHD_API = 1"),
+        (None, "does not state its API version. Add POLISHD_API = 1"),
         (2, "was written for API 2, this polishd has API 1"),
         ("1", "was written for API '1'"),
         (True, "was written for API True"),
@@ -174,7 +180,7 @@ def test_name_registered_by_two_distributions(install: Any) -> None:
     install("twin", SOLVER.format(name="b"), distribution="dist-two")
     hooks = load_plugins(["twin", install("other", SOLVER.format(name="c"))])
     assert reason(hooks, "twin") == (
-        "more than one distribution registers that name ('dist-one', 'dist-two'); uninstall all but one"
+        "more than one distribution registers that name ('dist-one', 'dist-two'). Uninstall all but one."
     )
     assert list(hooks.dwell_solvers()) == ["c"]
 
@@ -183,7 +189,7 @@ def test_record_name_that_an_earlier_plugin_has(install: Any) -> None:
     names = [install("first", SOLVER.format(name="qp")), install("second", SOLVER.format(name="qp"))]
     hooks = load_plugins(names)
     assert [plugin.name for plugin in hooks.report.loaded] == ["first"]
-    assert reason(hooks, "second").startswith("polishd_dwell_solvers: plugin 'first' has 'qp' already")
+    assert reason(hooks, "second").startswith("polishd_dwell_solvers: plugin 'first' already has 'qp'")
 
 
 def test_all_refused_are_told(install: Any) -> None:
@@ -242,7 +248,7 @@ def test_slow_listener_is_named(
     monkeypatch.setattr(plugins, "SLOW_S", -1.0)
     caplog.set_level("INFO")
     load_plugins([install("slow", "@hookimpl\ndef polishd_on_event(event): pass")]).on_event(PassProgressed(block=1))
-    assert "plugin slow took 0.0 s over event pass_progressed" in caplog.text
+    assert "plugin slow took 0.0 s for event pass_progressed" in caplog.text
 
 
 def test_commands_are_added_though_one_raises(install: Any, caplog: pytest.LogCaptureFixture) -> None:

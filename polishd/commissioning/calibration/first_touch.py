@@ -60,13 +60,12 @@ APART = 1.0
 ACROSS = 5
 """Places across the part, at most."""
 LEANS_DEG = (0.0, -45.0, 45.0, 180.0)
-"""Of the spindle, from where it leans by itself, where the robot can: an offset of the spot turns with it, a seat's
-error does not."""
+"""Turns of the spindle's inclination that the robot may reach: an offset of the spot turns with it, a seat error does
+not."""
 ALONG_DEG = (0.0, 90.0)
 STEP_NM, MOST_NM = 100.0, 300.0
-"""By how much a track grows deeper at a time, and most that is removed anywhere; at most half of
-``limits.max_removal_nm``. Where a machine stops at a corner it stays for some hundredths of a second, which no block
-tells of: half a nanometre."""
+"""Depth step of a track, and largest removal at any point, at most half of ``limits.max_removal_nm``. A machine that
+stops at a corner stays for some hundredths of a second, which no block reports: half a nanometer."""
 BETWEEN_SHARE = 0.6
 """Of the machine's largest feed, from track to track."""
 LANDING_MM = 6.0
@@ -84,7 +83,7 @@ class FirstTouchPlan:
     before: PriorKnowledge
     after: PriorKnowledge
     seconds: float
-    """In contact."""
+    """Time in contact."""
     tracks: int
 
 
@@ -182,8 +181,10 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     )
     order = _in_order(pool, lasts_s)
     if not order:
-        raise ComputeError("no track is worth its time: the time is too short, or what is wanted is known already")
-    order.append(order[0])  # half of it at the begin, half at the end: it tells of wear
+        raise ComputeError(
+            "no track is worth its time: the time is too short, or the wanted errors are reached already"
+        )
+    order.append(order[0])  # half at the start, half at the end: shows wear
     seconds = lasts_s[order]
     seconds[[0, -1]] /= 2
     speed = np.array([pool[c].length_mm for c in order]) / seconds
@@ -253,7 +254,10 @@ def _in_order(pool: Sequence[Track], seconds: FloatArray) -> list[int]:
     return order
 
 
-NOT_IN_MINUTES = {"wear": "a tool wears in hours: passes tell", "exponent": "it is not told from rate and compliance"}
+NOT_IN_MINUTES = {
+    "wear": "a tool wears in hours; passes estimate it",
+    "exponent": "it cannot be separated from rate and compliance",
+}
 JOB, FRAGMENT, PICTURE, FIGURES = "job.toml", "fragment.toml", "touch.png", "touch.json"
 JOB_TEXT = """\
 # A first touch, made by polishd calibrate first-touch: {use}.
@@ -276,7 +280,7 @@ cross_check = ""
 
 @dataclass(frozen=True, slots=True)
 class TouchOptions:
-    """What is asked of it."""
+    """Options of a first touch."""
 
     part: str
     within_min: float
@@ -313,7 +317,7 @@ def _recipe(config: CellConfig, recipe: Recipe) -> Recipe:
         known = " or ".join(SPOTS)
         raise config.error("process.removal_model", f"a touch is planned for {known}; set one of them")
     if config.process.estimates != "machine":
-        raise config.error("process.estimates", 'is not "machine": a touch would teach the rate alone; set it')
+        raise config.error("process.estimates", 'is not "machine": a touch would estimate only the rate; set it')
     return as_touched(recipe)
 
 
@@ -321,7 +325,7 @@ def _wanted(own: Mapping[str, float]) -> dict[str, float]:
     names = {p.name for p in usual_parameters() if p.name not in {*ABERRATIONS, *NOT_IN_MINUTES}}
     for name, sigma in own.items():
         if name in NOT_IN_MINUTES:
-            raise ConfigError(f"--want {name}: no touch tells that: {NOT_IN_MINUTES[name]}; leave it out")
+            raise ConfigError(f"--want {name}: a touch cannot estimate it: {NOT_IN_MINUTES[name]}; remove it")
         if name not in names:
             raise ConfigError(f"--want {name}: no such parameter; there are {', '.join(sorted(names))}")
         if not sigma > 0:
@@ -361,12 +365,12 @@ def _table(touch: FirstTouchPlan, rows: Sequence[Mapping[str, Any]]) -> Table:
         )
         for row in rows
     ]
-    columns = ("parameter", "error before", "expected after", "wanted", "unit", "not told from")
+    columns = ("parameter", "error before", "expected after", "wanted", "unit", "confounded with")
     return record_table(title, columns, cells)
 
 
 def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
-    short = "not all that is wanted will be known: no more contact was worth its time, or allowed (--minutes)"
+    short = "not all wanted errors are reached: more contact brings little, or is not allowed (--minutes)"
     place = "put a witness part of the same shape, glass and slurry in"
     queue = f"polishd queue add {config.path} {out / JOB} in a cell with a queue"
     include = f'include = ["{config.relative(out / FRAGMENT)}"]'
@@ -374,7 +378,7 @@ def _lines(config: CellConfig, out: Path, *, complete: bool) -> list[str]:
     return [
         *([] if complete else [short]),
         f"written to {out}: {NAME}, {JOB}, {FRAGMENT}, {PICTURE}, {FIGURES}",
-        f"next: {place}; {queue}, or {single}; what it teaches is remembered, and the next job begins with it",
+        f"next: {place}; {queue}, or {single}; the next job starts with its estimates",
     ]
 
 

@@ -1,4 +1,4 @@
-"""``polishd calibrate instrument``: the instrument's own error, from maps of a part that was turned."""
+"""``polishd calibrate instrument``: the instrument's error from maps of a rotated part."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from polishd.process.metrology.instrument import apply_profile
 from polishd.rendering.terminal import emit, stderr
 
 ORDER = 4
-"""Radial order up to which poses are advised for: power, astigmatism, coma, trefoil, spherical, tetrafoil ..."""
+"""Radial order up to which poses are advised: power, astigmatism, coma, trefoil, spherical, tetrafoil ..."""
 STEP_DEG = 45
-"""Of the angles that a person or a rotary port is asked for."""
+"""Step of the advised angles."""
 SHIFT = 0.1
-"""Of the part's radius: the shift that tells what is round, to twice the noise of a map."""
+"""Share of the part's radius: the shift that determines rotationally symmetric terms to twice a map's noise."""
 ENOUGH = 0.25
-"""Of the tolerance: how sure each term is to be."""
+"""Share of the tolerance: largest standard error of each term."""
 POWER = (2, 0)
 NOISE_NM = 0.3
-"""Of a map, where the profile does not say."""
+"""Noise of a map, if the profile has none."""
 
 Take = Callable[[Sequence[PartPose]], Sequence[SurfaceMap]]
 """Maps of the part at each pose, in their order, as they come into the cell's folder."""
@@ -92,7 +92,7 @@ def instrument_verb(
 
 
 def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[list[PartPose], dict[str, str]]:
-    """The least poses that tell the instrument's low terms, the first one as it lies; and what none tells."""
+    """Return the fewest poses that determine the low terms, the first one unrotated, and the undetermined terms."""
     first = PartPose(0.0)
     shift = SHIFT * radius_mm
     turns = [PartPose(float(angle)) for angle in range(STEP_DEG, 360, STEP_DEG)]
@@ -104,7 +104,7 @@ def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[li
 
 
 def _profile(config: CellConfig) -> InstrumentProfile:
-    """Commissioned: before that nobody knows which way a part in its maps is turned."""
+    """Require a commissioned profile: without it the orientation of its maps is unknown."""
     if config.profile_path is None:
         raise config.error("instrument.profile", "is missing: write one (docs/instruments.md), and commission it first")
     profile = load_profile(config.profile_path)
@@ -126,13 +126,13 @@ def _options(config: CellConfig, profile: InstrumentProfile, asked: InstrumentOp
     )
 
 
-def _with_power(instrument: SurfaceMap, told: AbsoluteTestResult, power_nm: float, sigma_nm: float) -> SurfaceMap:
-    """The system map with the power that a reference has told, which no pose does."""
-    height = instrument.height_nm + power_nm * told.shape(POWER, instrument.valid)
+def _with_power(instrument: SurfaceMap, result: AbsoluteTestResult, power_nm: float, sigma_nm: float) -> SurfaceMap:
+    """Add the power from a reference, which poses cannot determine, to the system map."""
+    height = instrument.height_nm + power_nm * result.shape(POWER, instrument.valid)
     step = instrument.history
     if step is None:
         return instrument.with_height(height)
-    facts = told.with_reference(POWER, sigma_nm).facts()
+    facts = result.with_reference(POWER, sigma_nm).facts()
     left = [name for name in step.options["without"] if name != family_name(*POWER)]
     reference = f"power {power_nm:g} nm, known to {sigma_nm:g} nm"
     options = {**step.options, "terms": facts, "without": left, "reference": reference}
@@ -165,19 +165,19 @@ def _advise(config: CellConfig, profile: InstrumentProfile, *, as_json: bool) ->
         f"they tell all terms up to order {ORDER} to {sigma:.2g} nm, at {noise:g} nm of noise a map, but these:",
         *(f"  {name} needs {what}" for name, what in needs.items()),
         f"next: {command}",
-        "a person is then asked to turn the part, and maps are taken as they come; or name the maps behind the cell",
+        "the operator then rotates the part, and each new map is taken; or name the maps after the cell",
     ]
     emit(answer, as_json=as_json, lines=lines)
 
 
-# Maps of a part that a person turns by hand: taken as they come into the cell's folder, one a pose.
+# Maps of a part that the operator rotates: each new map of the cell's folder is one pose.
 
 Ask = Callable[[PartPose, int, int], None]
-"""Have somebody lay the part so; returns when it lies: the pose, its number from 1, and how many there are."""
+"""Ask the operator to place the part: the pose, its number from 1, and the number of poses. Returns when it is done."""
 
 
 def calibrate_verb(cell: Path, files: Sequence[Path], asked: InstrumentOptions, *, as_json: bool) -> None:
-    """As ``instrument_verb``, with a person who turns the part where no files are named."""
+    """Run ``instrument_verb``; without files the operator rotates the part."""
     config, hooks = load_cell(cell)
     instrument_verb(config, files, asked, lambda poses: asyncio.run(taken(config, hooks, poses)), as_json=as_json)
 
@@ -185,10 +185,10 @@ def calibrate_verb(cell: Path, files: Sequence[Path], asked: InstrumentOptions, 
 async def taken(
     config: CellConfig, hooks: Hooks, poses: Sequence[PartPose], ask: Ask | None = None
 ) -> list[SurfaceMap]:
-    """A map at each pose. Nothing moves: of the cell's devices only the instrument is opened.
+    """Take a map at each pose. Nothing moves; only the instrument is opened.
 
     Raises:
-        ConfigError: a daemon runs the cell, which takes the maps itself; or its file is wrong.
+        ConfigError: a daemon runs the cell and takes the maps, or the cell's file is wrong.
         SurfaceError, DeviceError: as of the instrument.
     """
     cell = build_cell(config, hooks)
@@ -206,5 +206,5 @@ async def taken(
 
 
 def _by_a_person(pose: PartPose, number: int, count: int) -> None:
-    said = f"map {number} of {count}: lay the part at {pose}, counter-clockwise, right and up as the tool sees it"
-    typer.prompt(f"{said}; Enter when it lies so", default="", show_default=False, err=True)
+    said = f"map {number} of {count}: place the part at {pose}, counter-clockwise, right and up as the tool sees it"
+    typer.prompt(f"{said}; press Enter when it is in place", default="", show_default=False, err=True)

@@ -1,4 +1,4 @@
-"""The answers that a cell is made from: a cell's own sections and keys, and a few of ``polishd init``'s own."""
+"""Answers for a new cell: keys of a cell's file, and a few keys of ``polishd init``."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from polishd.config.toml_loader import TomlDocument, TomlSource, did_you_mean, j
 
 UR = "Universal Robots, 'DH Parameters for calculations of kinematics and dynamics'"
 GIVES_MM_PER_N = 1e-3
-"""A joint that nobody has measured lets the tip of the outstretched arm give way by so much: less than any arm does."""
+"""Deflection of the outstretched arm's tip by an unmeasured joint: less than that of any arm."""
 UNKNOWN_N_MM_PER_RAD = 1e9
-"""The same of an arm of which not even the rows are known: its reach is taken for 1 m."""
+"""Joint stiffness of an arm without known rows, for a reach of 1 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,11 @@ class ArmModel:
     home_deg: tuple[float, ...]
     """Joint angles at which the flange looks down, well away from singular poses."""
     turn_deg: float
-    """How far each joint turns to either side, deg."""
+    """Range of each joint to either side, deg."""
     source: str
 
     def keys(self) -> Mapping[str, Any]:
-        """What [kinematics] says of it."""
+        """Return its keys of [kinematics]."""
         return {
             "type": "serial",
             "dh": self.dh,
@@ -46,7 +46,7 @@ class ArmModel:
 
 
 def as_if_rigid(dh: Sequence[Sequence[float]], tool_length_mm: float) -> tuple[float, ...]:
-    """Joint stiffnesses, N mm/rad, of an arm with these rows whose stiffness nobody has measured."""
+    """Return joint stiffnesses, N mm/rad, of an arm with these rows and unmeasured stiffness."""
     reach_mm = sum(math.hypot(row[0], row[2]) for row in dh) + tool_length_mm
     return (float(f"{reach_mm**2 / GIVES_MM_PER_N:.2g}"),) * len(dh)
 
@@ -76,10 +76,10 @@ ARMS: Mapping[str, ArmModel] = {
 
 
 class ArmKeys(ConfigSection):
-    """What [kinematics] may say besides a cell's own keys."""
+    """Keys of [kinematics] in addition to those of a cell."""
 
     arm: Text | None = None
-    """An arm whose rows are known: type, rows, limits and home are its own."""
+    """A known arm, with its type, rows, limits and home position."""
 
     @field_validator("arm")
     @classmethod
@@ -87,27 +87,27 @@ class ArmKeys(ConfigSection):
         if name is not None and name not in ARMS:
             raise ValueError(
                 f"there is no arm {name!r}{did_you_mean(name, ARMS)} There are: {join_words(ARMS)}; of any other write "
-                'type = "serial" and its rows (docs/first_hour.md)'
+                'type = "serial" and its rows (docs/quickstart.md)'
             )
         return name
 
 
 class SampleKeys(ConfigSection):
-    """What [instrument] may say besides a cell's own keys."""
+    """Keys of [instrument] in addition to those of a cell."""
 
     sample: Text | None = None
-    """A map of this instrument: its profile is begun from it, and the part's size and name where [part] has none."""
+    """A map of this instrument, the source of its profile, and of the part's size and name if [part] has none."""
     sample_units: Text | None = None
-    """Units of its places and heights, as `mm,nm`, where the file does not say them."""
+    """Units of its positions and heights, such as `mm,nm`, if the file has none."""
     sample_pitch_mm: Positive | None = None
-    """Width of its pixels on the part, where the file has no lateral scale at all."""
+    """Width of its pixels on the part, if the file has no lateral scale."""
 
 
 class MakeKeys(ConfigSection):
-    """What [program] may say besides a cell's own keys."""
+    """Keys of [program] in addition to those of a cell."""
 
     make: Literal["raster", "spiral", "none"] = "raster"
-    """The program to make where `path` names none."""
+    """The program to make if `path` names none."""
 
 
 class SpotKeys(ConfigSection):
@@ -122,11 +122,11 @@ class SpotKeys(ConfigSection):
     file: Text | None = None
     """Instead: an `.npz` of `polishd calibrate tif`, or an array of nm/s (`.npy`, or text with rows), row 0 the top."""
     pitch_mm: Positive | None = None
-    """Of an array that is not an `.npz`."""
+    """Pitch of an array file other than `.npz`."""
     depth_ratio: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """Gamma where the spot was made; 1: on a rigid machine. [1]"""
+    """Gamma at the spot; 1 for a rigid machine. [1]"""
     azimuth_deg: Angle = 0.0
-    """Where the spindle leaned, counter-clockwise from the map's x."""
+    """Direction of the spindle's inclination, counter-clockwise from the map's x."""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -134,14 +134,14 @@ class SpotKeys(ConfigSection):
         if self.file is None and None in maps:
             raise ValueError("before: give before, after and seconds, or a file of the rate")
         if self.file is not None and any(maps):
-            raise ValueError("file: is given beside maps; keep one of both")
+            raise ValueError("file: cannot be combined with maps; keep one of both")
         if self.file is not None and (self.pitch_mm is None) != self.file.endswith(".npz"):
-            raise ValueError("pitch_mm: goes with an array file, which needs it; an .npz has its own")
+            raise ValueError("pitch_mm: an array file needs it, an .npz has its own; add or remove it")
         return self
 
 
 class OwnKeys(TomlDocument):
-    """What answers may say besides a cell's keys."""
+    """Keys of answers in addition to those of a cell."""
 
     kinematics: ArmKeys = ArmKeys()
     instrument: SampleKeys = SampleKeys()
@@ -151,18 +151,18 @@ class OwnKeys(TomlDocument):
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What was answered."""
+    """Answers from a file or a dialog."""
 
     cell: Mapping[str, Any]
-    """The cell's own keys, by section; not judged yet."""
+    """Keys of the cell by section, not validated yet."""
     own: OwnKeys
     """The others."""
     source: TomlSource
-    """The text, which says where a key stands."""
+    """The text, used to locate errors."""
 
     @property
     def folder(self) -> Path:
-        """Where files that it names are looked for."""
+        """Base folder of its files."""
         return Path(self.source.file).absolute().parent
 
 

@@ -1,4 +1,4 @@
-"""What is connected to this computer, as defaults of answers. Lists only: no port is opened, no folder written to."""
+"""Devices connected to this computer, as defaults of answers. No port is opened, and no file is written."""
 
 from __future__ import annotations
 
@@ -108,23 +108,23 @@ def _first_map(folder: Path, files: Iterable[Path], readers: Collection[SurfaceR
     return None
 
 
-# What one map of an instrument tells: the beginning of its profile, and of the part.
+# The start of an instrument's profile and of the part, from one map.
 
 TEMPLATE = """\
 # The profile of an instrument: docs/instruments.md. All keys: docs/reference/profile.md
-# Any value that is changed makes the record of `polishd map commission` void.
+# A changed value makes the record of `polishd map commission` void.
 name = {name}
 {says}
-[orientation]                        # arrays are flipped left-right where mirror, then turned counter-clockwise:
+[orientation]                        # arrays are mirrored left-right if mirror, then rotated counter-clockwise:
 mirror = false                       # the part as the tool sees it, x right, y up
 rotation_deg = 0                     # 0, 90, 180, 270
 
 [height]
-sign = 1                             # -1 where high is negative
-factor = 1.0                         # 0.5 where its files give wavefronts in reflection as they are
+sign = 1                             # -1 if high is negative
+factor = 1.0                         # 0.5 if its files give wavefronts in reflection
 {unit}
 [registration]
-by = "none"                          # the centre of the array is the part's; or aperture, fiducials, both
+by = "none"                          # the center of the array is the part's; or aperture, fiducials, both
 
 # [artefact]                         # LOOK: what proves all this: bumps in no symmetric arrangement, as the tool
 # name = "three bumps"               # sees them; here those of an example
@@ -204,7 +204,7 @@ def aperture_mm(surface: SurfaceMap, pitch_mm: float) -> float:
 
 
 def profile_text(sample: SampleMap | None) -> str:
-    """The instrument's profile as far as one map tells it; what a person has to say stands there as comments."""
+    """Return the instrument's profile from one map; values that you must give are comments."""
     if sample is None:
         return TEMPLATE.format(name=toml("interferometer"), says="", unit="")
     surface = sample.surface

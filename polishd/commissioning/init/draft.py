@@ -1,4 +1,4 @@
-"""A new cell's values: what was answered, and what is assumed of the rest, each with why."""
+"""Values of a new cell: answers, and defaults with a note on what to check."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class CellDraft:
     raw: dict[str, Any] = field(default_factory=dict)
     """Its values by section, as a cell's file has them."""
     assumed: dict[str, str] = field(default_factory=dict)
-    """By dotted key, of what nobody answered: what to look at."""
+    """Defaults by dotted key, with the note on what to check."""
     blank: tuple[str, ...] = ()
     """Dotted keys that a person has to fill in; meanwhile comments show those of some arm."""
     files: dict[str, bytes] = field(default_factory=dict)
@@ -117,7 +117,7 @@ class CellDraft:
         return name in self.raw.get(section, {})
 
     def assume(self, key: str, value: Any, why: str = "") -> None:
-        """A value where nobody answered one; ``why`` it has to be looked at."""
+        """Set a default if there is no answer; ``why`` is the note on what to check."""
         if not self.has(key):
             section, _, name = key.partition(".")
             self.raw.setdefault(section, {})[name] = value
@@ -161,7 +161,7 @@ def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap |
         draft.raw[name] = dict(section) if isinstance(section, Mapping) else section
     for section in dict.fromkeys(key.partition(".")[0] for key in (*ASSUMED, "plugins.load", "instrument.profile")):
         if not isinstance(given := draft.raw.setdefault(section, {}), dict):
-            raise answers.own.error(section, f"must be a section of its own, [{section}], not {given!r}; mend it")
+            raise answers.own.error(section, f"must be a section, [{section}], not {given!r}")
     _assume_names(draft, sample)
     _assume_robot(draft)
     robot = draft.hooks.device_types().get(draft.raw["robot"].get("type"))
@@ -231,7 +231,7 @@ def _assume_robot(draft: CellDraft) -> None:
 
 
 def _rigid(draft: CellDraft) -> tuple[float, ...]:
-    """Stiffnesses of an arm that nobody has measured, from its own rows where they are known and sound."""
+    """Return stiffnesses of an unmeasured arm, from its rows if they are known and valid."""
     dh, tool_mm = draft.raw["kinematics"].get("dh"), draft.raw["kinematics"].get("tool_length_mm")
     numbers = [tool_mm, *(value for row in dh for value in row)] if _are_rows(dh) else []
     if "kinematics.dh" in draft.blank or not numbers or not all(isinstance(value, int | float) for value in numbers):
@@ -240,7 +240,7 @@ def _rigid(draft: CellDraft) -> tuple[float, ...]:
 
 
 def _are_rows(dh: Any) -> bool:
-    """Return whether these are rows of four; whoever reads the cell says what is wrong with others."""
+    """Return whether these are rows of four; the cell's validation reports other faults."""
     return isinstance(dh, list | tuple) and all(isinstance(row, list | tuple) and len(row) == 4 for row in dh)
 
 
@@ -323,7 +323,7 @@ def _is_section(value: Any) -> bool:
 
 
 def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
-    told = _meanings(draft, name, section)
+    docs = _meanings(draft, name, section)
     if (arm := draft.answers.own.kinematics.arm) and name == "kinematics":
         yield f"# {ARMS[arm].title}. Rows: {ARMS[arm].source}"
     for key, value in sorted(section.items(), key=lambda item: item[0] != "type"):
@@ -331,7 +331,7 @@ def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[s
         why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
             yield f"{LOOK}{why}"
-        lines = _written(key, value, in_words(told.get(key, "")))
+        lines = _written(key, value, in_words(docs.get(key, "")))
         yield from (f"# {line}" if blank and not line.startswith("#") else line for line in lines)
 
 

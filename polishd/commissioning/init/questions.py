@@ -75,13 +75,11 @@ def ask_questions(folder: Path, connected: Connected, hooks: Hooks, ask: Ask) ->
 
 
 def _looked_at(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Without what `polishd init` assumes by itself: whoever only pressed Return is still to look at it."""
+    """Without the defaults of `polishd init`: a value taken with Return still has to be checked."""
     kept: dict[str, Any] = {}
     for name, section in given.items():
         own = ASSUMED.get(f"{name}.type", (None,))[0]
-        if (
-            isinstance(section, str) or section.get("type", own) != own
-        ):  # what is usual for one type is said for another
+        if isinstance(section, str) or section.get("type", own) != own:  # the default of one type is given for another
             kept[name] = section
         else:
             kept[name] = {key: value for key, value in section.items() if _unusual(f"{name}.{key}", value)}
@@ -123,7 +121,7 @@ def _of_sample(given: Mapping[str, Any], folder: Path) -> Iterator[Question]:
         return
     try:
         surface = MapSource.of().read(Path(os.path.normpath(folder.absolute() / name)))  # the folder is not there yet
-    except SurfaceError:  # told where the answers are judged
+    except SurfaceError:  # the check of the answers reports it
         return
     match missing_of(surface):
         case "sample_units":
@@ -155,14 +153,14 @@ def _of_device(
     proposed, why = ASSUMED[f"{port}.type"]
     yield Question(f"{port}.type", why.capitalize() + ".", proposed, tuple(sorted(types)))
     kind = types[given[port]["type"]]
-    told = meanings(kind.options)
+    docs = meanings(kind.options)
     for name, field in kind.options.model_fields.items():
         if field.is_required():
             key, usual = f"{port}.{name}", kind.usual_address
             assumed = ASSUMED.get(key, (SKIP,))[0] if kind.name == proposed else SKIP
             connected = connected_to.get(usual.partition(":")[0], usual)
             default = connected if name == "address" else SKIP if key in PATHS else assumed
-            why = in_words(told.get(name, ""))
+            why = in_words(docs.get(name, ""))
             yield Question(key, why, default, text=field.annotation is str, needed=assumed == SKIP or name == "address")
 
 
@@ -242,7 +240,7 @@ def _problem(given: Mapping[str, Any], question: Question, value: Any, folder: P
 
 def answers_text(given: Mapping[str, Any]) -> str:
     """As a file of answers."""
-    lines = ["# Answers of polishd init; the same again: polishd init DIR --from this file (docs/first_hour.md)"]
+    lines = ["# Answers of polishd init; the same again: polishd init DIR --from this file (docs/quickstart.md)"]
     for name, section in given.items():
         if name.startswith("?") or not section:
             continue

@@ -1,4 +1,4 @@
-"""What there is still to do about a cell, in order, by facts on disk: files, profiles, fragments, plans, runs."""
+"""Steps to set up a cell, in order, by the files on disk: profiles, fragments, plans, runs."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ PLANNED = "planned"
 MAP = "MAP"
 NO_SPOT = "removal is computed, not measured: polish a spot on a witness part, and measure it before and after"
 FAILED = "failed"
-"""Outcome of a run that an error ended: it proves nothing of the devices."""
+"""Outcome of a run that ended with an error, which does not show that the devices work."""
 
 
 @dataclass(frozen=True, slots=True)
 class SetupStep:
-    """One thing to do."""
+    """One step to set up a cell."""
 
     what: str
     done: bool | None
-    """None: it leaves nothing on disk by which to tell."""
+    """None: the step leaves no file on disk."""
     found: str
-    """What is there, or what is missing."""
+    """Present or missing files."""
     command: str
-    """What does it."""
+    """Command of the step."""
 
 
 def steps(cell: Path) -> list[SetupStep]:
-    """All, in the order in which they are done; a cell that cannot be read has only its first."""
+    """Return all steps in order; only the first if the cell's file cannot be read."""
     try:
         config = load_config(cell)
     except ConfigError as error:
@@ -49,13 +49,13 @@ def steps(cell: Path) -> list[SetupStep]:
 
 
 def lines(found: Sequence[SetupStep]) -> list[str]:
-    """For people: two lines a step, whole: what is on them can be copied. A step that is done has no command."""
+    """Return two unwrapped lines for each step, so that commands can be copied; one line if it is done."""
     marks = {True: "[x]", False: "[ ]", None: "[?]"}
-    told = []
+    text = []
     for step in found:
-        told.append(f"{marks[step.done]} {step.what}: {step.found}")
-        told += [] if step.done else [f"    {step.command}"]
-    return told
+        text.append(f"{marks[step.done]} {step.what}: {step.found}")
+        text += [] if step.done else [f"    {step.command}"]
+    return text
 
 
 def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
@@ -69,9 +69,9 @@ def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     path = _quoted(file.parent / config.program.path)
     command = f"polishd program make raster --out {path} --cell {cell}"
     yield SetupStep("have a program", made, path if made else f"{path}: is missing", command)
-    yield SetupStep(CHECK, None, "leaves nothing on disk: ask again after each change", f"polishd check {cell}")
+    yield SetupStep(CHECK, None, "leaves no file; repeat it after each change", f"polishd check {cell}")
     ran = any(of["outcome"] != FAILED for of in runs.values())
-    answered = "a run has been there" if ran else "leaves nothing on disk: ask the devices"
+    answered = "a run used the devices" if ran else "leaves no file; probe the devices"
     yield SetupStep("probe", True if ran else None, answered, f"polishd probe {cell}")
     yield _commission(config, file.parent)
     yield from _calibrate(config, cell)
@@ -151,11 +151,11 @@ def _quoted(path: Path) -> str:
     return shlex.quote(str(path))
 
 
-# ``polishd init --status``: how far a cell is from its first pass. Opens no device, asks no daemon.
+# ``polishd init --status``: steps to a cell's first pass. It opens no device and needs no daemon.
 
 
 def setup_verb(cell: Path, *, as_json: bool) -> None:
-    """Each step with what there is of it on disk, and the command that does it; the cell is checked meanwhile."""
+    """Check the cell, and show each step with its files and its command."""
     with stderr.status("checking the cell"):
         found = [_checked(cell, step) if step.what == CHECK else step for step in steps(cell)]
     done = sum(step.done is True for step in found)
@@ -164,7 +164,7 @@ def setup_verb(cell: Path, *, as_json: bool) -> None:
 
 
 def _checked(cell: Path, step: SetupStep) -> SetupStep:
-    """What `polishd check` says of the files as they are now."""
+    """Return the check step with the result of `polishd check`."""
     from polishd.daemon.checks import check_cell
 
     try:

@@ -177,7 +177,7 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
 
 @contextmanager
 def _blamed(answers: Answers, key: str) -> Iterator[None]:
-    """What is wrong with a file that an answer names is told with the answer's place."""
+    """Report an error of a file at the answer that names it."""
     try:
         yield
     except PolishdError as error:

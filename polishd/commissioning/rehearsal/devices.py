@@ -97,7 +97,7 @@ def _adopt_files(draft: RehearsalDraft, device: str, options: Mapping[str, Any])
 
 
 def _adopt_scales(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
-    """The simulated drive counts in its own units."""
+    """Units of the simulated drive."""
     for key, value in simulated.items():
         if options[key] != value:
             draft.instead(f"{device}.{key}", value, f"is {options[key]:g} at your drive; the simulated one has its own")
@@ -109,7 +109,7 @@ NOT_SIMULATED = (
     "controller_dir", "user", "password", "certificate", "private_key", "server_certificate", "delivery_password",
     "known_hosts",
 )  # fmt: skip
-"""Keys of a plc_robot: its simulated controller asks for no password, and reads a folder."""
+"""Keys of a PLC robot: its simulated controller accepts every client, and reads a folder."""
 OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
@@ -129,7 +129,7 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
         lay_address(draft, device, address)
     if kind in add:
         add[kind](draft, device)
-    elif kind in KINDS or not simulated:
+    elif kind in KINDS or not simulated or draft.sim["robot"]["kind"][0] == "link":
         why = f"{WINDOW} blocks at --speed 1 last as long as these at {MOST_SPEED}"
         draft.put("robot", "window", WINDOW * MOST_SPEED, why)
 
@@ -160,7 +160,7 @@ def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
         f"{device}.enable_password": None,
     }
     draft.notes.append(
-        f"{device}: a real LinuxCNC, in real time, in a network of its own: simulator and polishd run are started as "
+        f"{device}: a real LinuxCNC, in real time, in a separate network: simulator and polishd run are started as "
         "docs/protocols/linuxcnc.md says under Simulated"
     )
 
@@ -214,7 +214,7 @@ _NO_NAME = re.compile(r"[^A-Za-z0-9._-]")
 
 
 def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
-    """One simulated box reports what all of the cell's monitors do."""
+    """One simulated box has the signals of all monitors of the cell."""
     first, *others = devices
     add_line(draft, first)
     address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
@@ -224,9 +224,9 @@ def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
         else:
             draft.replace_device(device, address=address)
     if others:
-        draft.notes.append(f"{', '.join(devices)}: one simulated monitor reports the signals of all, at one address")
+        draft.notes.append(f"{', '.join(devices)}: one simulated monitor has the signals of all, at one address")
     for name, signal in draft.config.signals.items():
-        reported = signal.signal or name
-        if _NO_NAME.search(reported):
-            why = "a name on the simulated monitor's link has no such characters"
-            draft.instead(f"signals.{name}.signal", _NO_NAME.sub("_", reported), why)
+        channel = signal.signal or name
+        if _NO_NAME.search(channel):
+            why = "a name at the simulated monitor has no such characters"
+            draft.instead(f"signals.{name}.signal", _NO_NAME.sub("_", channel), why)

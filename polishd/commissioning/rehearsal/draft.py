@@ -1,4 +1,4 @@
-"""What a rehearsal has otherwise than the cell, before anything is written; its folder."""
+"""Differences between a rehearsal and its cell, before the files are written; its folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import tomlkit
 
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.cell import FILES, CellConfig, device_options, overlay
-from polishd.config.simulator_cell import KINDS
+from polishd.config.simulator_cell import KINDS, SECTIONS
+from polishd.config.toml_loader import join_words
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp, parse_address
 from polishd.hookspecs import DeviceType
 from polishd.model.devices import port_of
@@ -38,9 +39,9 @@ class RehearsalDraft:
     sim: dict[str, dict[str, tuple[Any, str]]] = field(default_factory=dict)
     """sim.toml: by section and key a value, and the comment behind it."""
     laid: dict[str, Any] = field(default_factory=dict)
-    """What the rehearsal's cell has otherwise than the cell, by dotted key; None: the key is removed."""
+    """Changed values of the rehearsal's cell by dotted key; None: the key is removed."""
     notes: list[str] = field(default_factory=list)
-    """What the simulator cannot be, and what is simulated instead."""
+    """Differences between the simulated cell and the real one."""
     files: dict[str, bytes] = field(default_factory=dict)
     """Files that the rehearsal's cell names, by name in the folder."""
 
@@ -73,7 +74,7 @@ class RehearsalDraft:
         self._load_plugin(own.plugin_of("polishd_device_types", substitute.name))
 
     def instead(self, key: str, value: Any, why: str) -> None:
-        """Another value than the cell's, with a note; None: the key is left out."""
+        """Replace a value of the cell, with a note; None: the key is left out."""
         self.laid[key] = value
         state = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
         self.notes.append(f"{key}: {why}; it {state}")
@@ -85,7 +86,7 @@ class RehearsalDraft:
 
 
 def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
-    """Give a device of the rehearsal's cell an address of the same kind on this computer. ConfigError: it is none."""
+    """Give a device an address of the same kind on this computer. Raise ConfigError if its own is not an address."""
     real = parse_address(address, draft.config.base_dir)
     query = urlsplit(address).query
     if isinstance(real, SerialLine | SlcanAddress):
@@ -99,11 +100,36 @@ def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
 def lay_address(draft: RehearsalDraft, device: str, address: str) -> None:
     """Give a device of the rehearsal's cell this address, and its simulated device what the cell does not say."""
     draft.laid[f"{device}.address"] = address
-    kind, port = draft.device_type(device), urlsplit(address).port
-    if kind.name not in KINDS:
-        draft.put(port_of(device), "kind", kind.simulated_by, f"{device}.type")
-        if port is not None:
-            draft.put(port_of(device), "port", port, f"{device}.address")
+    url = urlsplit(address)
+    if put_kind(draft, device, is_serial=url.scheme in {"serial", "slcan"}) and url.port is not None:
+        draft.put(port_of(device), "port", url.port, f"{device}.address")
+
+
+def put_kind(draft: RehearsalDraft, device: str, *, is_serial: bool = False) -> bool:
+    """Put the `kind` of another plugin's device into sim.toml. Return False for a type of polishd's.
+
+    Raises:
+        ConfigError: its type names a simulated device with several protocols.
+    """
+    own, one = load_own(), draft.device_type(device)
+    if one.name in KINDS:
+        return False
+    same = [name for name, shipped in own.device_types().items() if is_like(shipped, one)]
+    kinds = {KINDS[name][not is_serial] for name in same} - {""}
+    if len(kinds) > 1 or (same and not kinds):
+        several = sorted({kind for name in same for kind in KINDS[name]} - {""})
+        raise draft.config.error(
+            f"{device}.type",
+            f"{one.name!r} is simulated by {one.simulated_by!r}, which has several protocols; the plugin must name one "
+            f"as simulated_by: {join_words(several)}",
+        )
+    draft.put(SECTIONS.get(one.port, one.port), "kind", kinds.pop() if kinds else one.simulated_by, f"{device}.type")
+    return True
+
+
+def is_like(shipped: DeviceType, one: DeviceType) -> bool:
+    """Return whether a type of polishd's has the simulated device of another."""
+    return shipped.name in KINDS and (shipped.port, shipped.simulated_by) == (one.port, one.simulated_by)
 
 
 # The two files as text: sim.toml, and the cell's own file with few of its values.
@@ -113,10 +139,10 @@ COLUMN = 45
 
 
 def sim_text(draft: RehearsalDraft, cell: str) -> str:
-    """sim.toml of the rehearsal's cell, which has that file name."""
+    """Return sim.toml for the rehearsal's cell, which has that file name."""
     lines = [
         f"# Made by polishd rehearse {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
-        "# What is not here is as the cell has it. All keys: docs/reference/simulator.md",
+        "# Other values come from the cell. All keys: docs/reference/simulator.md",
         *(f"# {note}" for note in draft.notes),
         f"cell = {toml(cell)}",
     ]
@@ -134,7 +160,7 @@ def cell_text(draft: RehearsalDraft) -> str:
         overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
     for key, value in {**_files(draft), **draft.laid}.items():
         _set(document, key.split("."), value)
-    head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and folders of its own.\n"
+    head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and separate folders.\n"
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
 
 
@@ -174,7 +200,7 @@ def _set(table: MutableMapping[str, Any], path: list[str], value: Any) -> None:
 # Where a rehearsal is written: nowhere near what the real cell writes.
 
 FOLDER_KEYS = ("folder", "claimed_dir", "refused_dir", "program_dir")
-"""Options of devices that name folders into which the cell or its devices write."""
+"""Options of devices that name folders for files of other programs."""
 
 
 def usual_folder(config: CellConfig) -> Path:

@@ -1,4 +1,4 @@
-"""Part, process and instrument of a rehearsal: what the simulator does not have, and how the part starts."""
+"""Part, process and instrument of a rehearsal: the surface at the start, and notes on what is not simulated."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import tomlkit
 
 from polishd.commissioning.rehearsal.devices import is_simulated
-from polishd.commissioning.rehearsal.draft import REQUEST, SIM_STATE, RehearsalDraft
+from polishd.commissioning.rehearsal.draft import REQUEST, SIM_STATE, RehearsalDraft, put_kind
 from polishd.config.instrument_profile import ProfileFile
 from polishd.config.process_sections import MeasuredSection
 from polishd.config.simulator import Truth
@@ -28,7 +28,7 @@ LONGEST_NAME = 39
 
 
 def add_part(draft: RehearsalDraft, speed: float) -> None:
-    """``[plant]`` and ``[hidden_truth]``: how the part starts, and what is drawn from the seed."""
+    """Add the surface at the start and the ranges of the hidden truth."""
     part, job, machine, hidden = draft.config.part, draft.config.job, draft.config.machine, Truth()
     if len(part.id.encode()) > LONGEST_NAME:
         raise draft.config.error("part.id", f"is longer than the {LONGEST_NAME} bytes that a MetroPro map has room for")
@@ -51,7 +51,7 @@ def add_part(draft: RehearsalDraft, speed: float) -> None:
 
 
 def note_process(draft: RehearsalDraft) -> None:
-    """What of tool and robot is not simulated. ConfigError where a file of theirs cannot be read."""
+    """Note what is not simulated of tool and robot. Raise ConfigError if one of their files cannot be read."""
     config, process, compliance, usual = draft.config, draft.config.process, draft.config.compliance, ToolProcess()
     config.robot_model()
     if process.removal_model == "measured_tif" and process.tif is not None:
@@ -110,11 +110,15 @@ def _add_folder(draft: RehearsalDraft, device: str) -> None:
     options = draft.options(device)
     draft.laid[f"{device}.folder"] = folder
     for key in ("claimed_dir", "refused_dir"):
-        if Path(options[key]).is_absolute() or ".." in Path(options[key]).parts:
+        named = Path(options.get(key) or "")
+        if named.is_absolute() or ".." in named.parts:
             draft.instead(f"{device}.{key}", None, "is a folder of the real cell's")
-    request = options["request_file"]
+    request = options.get("request_file", REQUEST)
     if request is None or Path(request).is_absolute() or len(Path(request).parts) > 1:
         draft.instead(f"{device}.request_file", REQUEST, "the simulated instrument measures on a request in its folder")
+        request = REQUEST
+    if put_kind(draft, device):
+        draft.put("interferometer", "request_file", str(request), f"{device}.request_file")
 
 
 def _mend(draft: RehearsalDraft, document: tomlkit.TOMLDocument, profile: ProfileFile) -> None:

@@ -51,13 +51,13 @@ class Rehearsal:
     sim: Path
     cell: Path
     notes: tuple[str, ...]
-    """What the simulator is not, and what is simulated instead."""
+    """Differences between the simulated cell and the real one."""
 
 
 def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
-    """Write the rehearsal of a cell and, unless told otherwise, start its simulator; the exit code."""
+    """Write the rehearsal of a cell and, unless ``write_only``, start its simulator; the exit code."""
     if any(option.partition("=")[0] in {"--state", "--artefact"} for option in options):
-        raise ConfigError("--state and --artefact are options of polishd sim. A rehearsal has its folders: use --out.")
+        raise ConfigError("--state and --artefact do not go with rehearse, which has its own folders; use --out")
     own = _plant_options(options)
     if write_only and (others := [one for one in options if one not in own.given]):
         raise ConfigError(
@@ -169,13 +169,13 @@ def _add_folders(draft: RehearsalDraft) -> None:
 
 
 def _tell_nobody(draft: RehearsalDraft) -> None:
-    """Nothing real is started or told."""
+    """Notifiers and commands of the cell are left out."""
     for name, section in draft.config.part_handling:
         if command := getattr(section, "command", ()):
             why = f"{' '.join(command)} would act on the real cell"
             draft.instead(f"part_handling.{name}.command", NOTHING, why)
     for name in draft.config.notify:
-        draft.instead(f"notify.{name}", None, "a rehearsal tells nobody")
+        draft.instead(f"notify.{name}", None, "a rehearsal sends no notifications")
     known = installed()
     if others := [name for name in draft.config.plugins.load if known.get(name) != [OWN]]:
         draft.notes.append(

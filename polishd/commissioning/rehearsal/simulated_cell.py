@@ -1,4 +1,4 @@
-"""Starting the simulated cell, which is a program of its own: nothing of polishd imports it."""
+"""Start of the simulated cell, a separate program that nothing of polishd imports."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def with_values(text: str, sections: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def free_port() -> int:
-    """A port on loopback that nobody uses now."""
+    """A free port on loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

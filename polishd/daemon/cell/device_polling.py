@@ -1,6 +1,6 @@
-"""Hearing a device for as long as contact lasts, and no longer than it may take: nothing that it does holds up others.
+"""Reading a device with time limits, so that a device that hangs does not delay the others.
 
-In contact each sample is judged as it comes, and silence is counted.
+In contact each sample is checked on arrival, and silence is counted.
 """
 
 from __future__ import annotations
@@ -23,16 +23,15 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 LET_GO_S = 1.0
-"""What is cancelled may tidy up for so long."""
+"""Longest time for cancelled work to clean up."""
 LOOK_S = 0.05
-"""Between two looks at a silence: it is counted in steps, so that a daemon that was stalled hears first."""
+"""Step in which silence is counted, so that a daemon that was stalled reads first."""
 
 
 async def with_deadline(seconds: float, work: Coroutine[Any, Any, T]) -> T:
-    """What the work returns or raises; TimeoutError where that takes longer.
+    """Return the result of the work; raise its error, or TimeoutError after that time.
 
-    It is cancelled then, and left behind where it does not end over that: whoever waits is never held up for more than
-    ``LET_GO_S`` beyond.
+    The work is cancelled then, and abandoned if it does not end within ``LET_GO_S``.
     """
     task = asyncio.ensure_future(work)
     try:
@@ -43,13 +42,13 @@ async def with_deadline(seconds: float, work: Coroutine[Any, Any, T]) -> T:
             task.cancel()
             await asyncio.wait({task}, timeout=LET_GO_S)
             if not task.done():
-                log.error("%s does not end though it was cancelled, and is left behind", work)
+                log.error("%s does not end after it was cancelled and is abandoned", work)
 
 
 async def read_samples(samples: AsyncIterator[T], judge: Callable[[T], None], name: str, silence_s: float) -> None:
-    """Have each sample judged as it comes, until that raises; LinkError after that much silence, or at their end.
+    """Call ``judge`` with each sample until it raises; LinkError after ``silence_s`` without one, or at their end.
 
-    Time in which this process itself did not run is no silence of the device: it is counted in small steps.
+    Silence is counted in small steps, so that time in which this process did not run is not silence of the device.
     """
     news = asyncio.Event()
 
@@ -79,9 +78,9 @@ async def read_samples(samples: AsyncIterator[T], judge: Callable[[T], None], na
 
 
 def root_cause(errors: BaseExceptionGroup[BaseException]) -> BaseException:
-    """The one error of a group that says what to do: ours before others, others before cancellation.
+    """Return the most informative error of a group: polishd's errors first, then others, then cancellation.
 
-    Before all of them that memory is out, in words: the others follow from it.
+    A lack of memory comes before all of them, because the others follow from it.
     """
     memory, _ = errors.split(lambda one: not isinstance(one, BaseExceptionGroup) and is_out_of_memory(one))
     if memory is not None and isinstance(first := _first(memory), Exception):
@@ -96,59 +95,57 @@ def _first(error: BaseException) -> BaseException:
     return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
 
 
-# What a device lacks of its port, told from the port's Protocol before anything is opened.
+# Check of a device against the Protocol of its port, before anything is opened.
 
 MISSING = object()
 
 
 def missing_members(device: object, port: type) -> list[str]:
-    """Each member of the port that the device has not, or has as something else; nothing of it is called."""
-    asked = members(port)
-    missing = [name for name in asked if _found(device, name) is MISSING]
+    """Return a message for each member of the port that the device lacks or has in another form; calls nothing."""
+    required = members(port)
+    missing = [name for name in required if _found(device, name) is MISSING]
     found = [f"it has no {', '.join(map(repr, missing))}"] if missing else []
-    return found + [why for name in asked if name not in missing and (why := _wrong(device, name, asked[name]))]
+    return found + [why for name in required if name not in missing and (why := _wrong(device, name, required[name]))]
 
 
 def members(port: type) -> dict[str, Any]:
-    """What a Protocol asks, by name: functions, properties, and the annotations of plain attributes."""
+    """Return the members of a Protocol by name: functions, properties, and annotations of plain attributes."""
     found: dict[str, Any] = {}
     for kind in port.__mro__:
         if getattr(kind, "_is_protocol", False):
-            asked = {**inspect.get_annotations(kind), **vars(kind)}
-            found = {name: member for name, member in asked.items() if not name.startswith("_")} | found
+            own = {**inspect.get_annotations(kind), **vars(kind)}
+            found = {name: member for name, member in own.items() if not name.startswith("_")} | found
     return found
 
 
 def _found(device: object, name: str) -> Any:
-    """The member: a property itself, for its getter may ask a device that is not open; else as the device gives it."""
+    """Return the member; for a property the property itself, because its getter may access a closed device."""
     static = inspect.getattr_static(device, name, MISSING)
     return static if isinstance(static, property | cached_property) else getattr(device, name, MISSING)
 
 
-def _wrong(device: object, name: str, asked: Any) -> str | None:
+def _wrong(device: object, name: str, required: Any) -> str | None:
     has = _found(device, name)
-    if not inspect.isfunction(asked):
-        return f"its {name!r} is a method; the port asks for a property" if inspect.isroutine(has) else None
+    if not inspect.isfunction(required):
+        return f"its {name!r} is a method; the port requires a property" if inspect.isroutine(has) else None
     if not callable(has):
-        return f"its {name!r} is no method: {type(has).__name__}"
-    return _wrong_kind(name, inspect.unwrap(has), asked) or _wrong_arguments(name, has, asked)
+        return f"its {name!r} is not a method but {type(has).__name__}"
+    return _wrong_kind(name, inspect.unwrap(has), required) or _wrong_arguments(name, has, required)
 
 
-def _wrong_kind(name: str, method: Callable[..., Any], asked: Callable[..., Any]) -> str | None:
-    """A port's ``def`` that gives an iterator is kept by an async generator, or by a ``def`` that gives one."""
-    if inspect.iscoroutinefunction(asked):
-        return (
-            None if inspect.iscoroutinefunction(method) else f"its {name!r} is no coroutine function: write async def"
-        )
+def _wrong_kind(name: str, method: Callable[..., Any], required: Callable[..., Any]) -> str | None:
+    """Compare the kinds; an async generator or a ``def`` that returns one fulfills a ``def`` for an iterator."""
+    if inspect.iscoroutinefunction(required):
+        return None if inspect.iscoroutinefunction(method) else f"its {name!r} is not a coroutine: write async def"
     if inspect.iscoroutinefunction(method) or inspect.isgeneratorfunction(method):
-        return f"its {name!r} is no async generator: write async def, with yield in it"
+        return f"its {name!r} is not an async generator: write async def with yield"
     return None
 
 
-def _wrong_arguments(name: str, method: Callable[..., Any], asked: Callable[..., Any]) -> str | None:
-    """The calls that the port allows must bind."""
+def _wrong_arguments(name: str, method: Callable[..., Any], required: Callable[..., Any]) -> str | None:
+    """Bind the calls that the port allows to the method's signature."""
     signature = inspect.signature(method)
-    for positional, keywords in _calls(list(inspect.signature(asked).parameters.values())[1:]):
+    for positional, keywords in _calls(list(inspect.signature(required).parameters.values())[1:]):
         try:
             signature.bind(*positional, **keywords)
         except TypeError as error:

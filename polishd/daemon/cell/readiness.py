@@ -1,4 +1,4 @@
-"""The monitors of a cell are heard all the time, each by a task of its own; nobody waits for one in contact."""
+"""Monitors of a cell, each read by a separate task at all times, and the readiness of all devices before contact."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from polishd.model.events import Event, SignalOutOfRange
 log = logging.getLogger(__name__)
 
 LOOK_S = 0.1
-"""Between two looks."""
+"""Interval of the checks."""
 STEP_S = 0.2
-"""Most that passes between two looks, as it is counted: a daemon that was stalled hears first."""
+"""Longest interval that counts between two checks: a daemon that was stalled reads the signals first."""
 UNKNOWN_S = 5.0
-"""Before contact, at least: a monitor whose link was just opened again has told nothing yet."""
+"""Shortest wait before contact: a monitor whose link was just opened again has sent nothing yet."""
 AGAIN_S = 1.0
-"""After so long a monitor that does not answer is heard again, if its link is open again."""
+"""Interval of the attempts to read a monitor that does not answer."""
 
 
 @asynccontextmanager
-async def monitoring_signals(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> AsyncIterator[None]:
-    """Hear all monitors inside this block; ``tell`` is told of each signal that is wrong in contact, once a contact."""
+async def monitoring_signals(cell: Cell, on_alarm: Callable[[SignalLimits, str], None]) -> AsyncIterator[None]:
+    """Read all monitors inside this block; ``on_alarm`` gets each signal outside its limits, once per contact."""
     try:
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(_hear(cell, name), name=f"hear {name}") for name in cell.at("monitor")]
-            tasks.append(group.create_task(_look(cell, tell), name="look at signals"))
+            tasks = [group.create_task(_read(cell, name), name=f"read {name}") for name in cell.at("monitor")]
+            tasks.append(group.create_task(_check(cell, on_alarm), name="check signals"))
             try:
                 yield
             finally:
@@ -47,79 +47,79 @@ async def monitoring_signals(cell: Cell, tell: Callable[[SignalLimits, str], Non
 
 
 async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) -> None:
-    """All signals are as they must be before contact; SignalFault where that was waited for in vain."""
-    begun_s, told = cell.clock.now_s(), set[str]()
+    """Wait until all signals are within their limits before contact; SignalFault after their longest wait."""
+    begun_s, published = cell.clock.now_s(), set[str]()
     while wrong := cell.signals.not_ready():
         waited_s = cell.clock.now_s() - begun_s
-        if late := [said for limits, said in wrong.items() if waited_s >= _wait_s(cell, limits)]:
-            raise SignalFault(f"before contact {'; '.join(late)}; see to it: nothing was moved")
-        for limits, said in wrong.items():
-            if limits.name not in told:
-                told.add(limits.name)
-                what = f"{said} before contact; it is waited for, for up to {limits.wait_s:g} s"
+        if late := [problem for limits, problem in wrong.items() if waited_s >= _wait_s(cell, limits)]:
+            raise SignalFault(f"before contact {'; '.join(late)}. Correct it; nothing was moved")
+        for limits, problem in wrong.items():
+            if limits.name not in published:
+                published.add(limits.name)
+                what = f"{problem} before contact; the daemon waits for up to {limits.wait_s:g} s"
                 publish(SignalOutOfRange(cycle=cycle, signal=limits.name, what=what, action="wait"))
         await cell.clock.sleep(LOOK_S)
 
 
 def _wait_s(cell: Cell, limits: SignalLimits) -> float:
-    """For how long a signal is waited for before contact; one that is not known for as long as its monitor may take."""
+    """Return the longest wait for a signal before contact; an unknown signal gets the time that its monitor needs."""
     if cell.signals.value(limits) is not None:
         return limits.wait_s
     return max(limits.wait_s, UNKNOWN_S, AGAIN_S + cast(Monitor, cell.devices[limits.monitor]).times.silence_s)
 
 
 async def report_once(cell: Cell, name: str) -> None:
-    """Have that monitor tell each of its signals; DeviceFault where it has not all that are watched."""
+    """Read each signal of that monitor once; DeviceFault if a watched signal is missing."""
     monitor = cast(Monitor, cell.devices[name])
     wanted = {limits.signal for limits in cell.signals.limits if limits.monitor == name}
-    told, within_s = set[str](), max(OPEN_S, monitor.times.silence_s)
+    received, within_s = set[str](), max(OPEN_S, monitor.times.silence_s)
     try:
         async with asyncio.timeout(within_s), aclosing(monitor.signals()) as signals:  # type: ignore[type-var]
             async for signal in signals:
-                if signal.name in told:
+                if signal.name in received:
                     break
-                told.add(signal.name)
-                cell.signals.hear(name, signal)
+                received.add(signal.name)
+                cell.signals.update(name, signal)
     except TimeoutError:
-        raise LinkError(f"{name}: told not all of its signals within {within_s:g} s") from None
-    if missing := wanted - told:
-        raise DeviceFault(f"{name}: tells no signal {join_words(missing)}; it tells {join_words(told)}")
+        raise LinkError(f"{name}: did not report all its signals within {within_s:g} s") from None
+    if missing := wanted - received:
+        raise DeviceFault(f"{name}: has no signal {join_words(missing)}; it has {join_words(received)}")
 
 
-async def _hear(cell: Cell, name: str) -> None:
-    """For as long as it tells; a link that is lost is opened again by others, out of contact."""
+async def _read(cell: Cell, name: str) -> None:
+    """Read the signals of that monitor for ever; other code opens a lost link again, out of contact."""
     lost = False
     while True:
         try:
             async for signal in cast(Monitor, cell.devices[name]).signals():
                 lost = False
-                cell.hears(name)
-                cell.signals.hear(name, signal)
-        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: its signals are not known then
+                cell.mark_answered(name)
+                cell.signals.update(name, signal)
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: its signals are unknown then
             if not lost:
-                log.warning("%s tells no signals: %s", name, error)
+                log.warning("%s sends no signals: %s", name, error)
             lost = True
         await asyncio.sleep(AGAIN_S)
 
 
-async def _look(cell: Cell, tell: Callable[[SignalLimits, str], None]) -> None:
+async def _check(cell: Cell, on_alarm: Callable[[SignalLimits, str], None]) -> None:
     looked_s = time.monotonic()
     while True:
         await asyncio.sleep(LOOK_S)
         now_s = time.monotonic()
         passed_s, looked_s = min(now_s - looked_s, STEP_S), now_s
-        for limits, said in cell.signals.pass_by(passed_s, in_contact=cell.pressing):
+        for limits, problem in cell.signals.pass_by(passed_s, in_contact=cell.pressing):
             cell.emergency = cell.emergency or limits.action == "estop"
-            tell(limits, said)
+            on_alarm(limits, problem)
 
 
-# Whether a cell may go into contact: its links are up, its devices say that they may be used, its signals are right.
+# Conditions for contact: links open, devices ready, signals within their limits.
 
 
 async def before_contact(cell: Cell, publish: Callable[[Event], None], cycle: int) -> None:
-    """Out of contact: lost links are opened again, and all that the job uses is ready; the robot is asked later.
+    """Open lost links again and require that all devices of the job are ready, except the robot, which comes later.
 
-    DeviceFault with the own words of each device that is not; LinkError; SignalFault.
+    DeviceFault with the status of each device that is not ready; LinkError; SignalFault.
     """
     found = {name: await cell.restored(name) for name in cell.devices}
     for name, status in found.items():
@@ -130,20 +130,21 @@ async def before_contact(cell: Cell, publish: Callable[[Event], None], cycle: in
 
 
 async def require_robot(cell: Cell, least_override: float) -> None:
-    """The job's robot is ready, once it has its program: getting that may take back an alarm. DeviceFault if not.
+    """Require that the job's robot is ready, after it received its program, which may clear an alarm.
 
-    It is not where its controller reports a speed override below ``least_override``.
+    DeviceFault if it is not ready or reports a speed override below ``least_override``.
     """
     name = cell.used["robot"]
-    _require({name: await cell.asked(name)})
-    if words := low_override(await cell.robot.progress(), least_override):
-        raise DeviceFault(f"{words}; no pass was begun")
+    _require({name: await cell.read_status(name)})
+    if problem := low_override(await cell.robot.progress(), least_override):
+        raise DeviceFault(f"{problem}; no pass was begun")
 
 
 def _require(found: dict[str, DeviceStatus]) -> None:
-    if said := [f"{name} is not ready: {_words(status)}" for name, status in found.items() if not status.ready]:
-        raise DeviceFault(f"{'; '.join(said)}; see to it: no pass was begun")
-
-
-def _words(status: DeviceStatus) -> str:
-    return f"{status.state}: {status.detail}" if status.detail else status.state
+    problems = [
+        f"{name} is not ready: {': '.join(filter(None, (status.state, status.detail)))}"
+        for name, status in found.items()
+        if not status.ready
+    ]
+    if problems:
+        raise DeviceFault(f"{'; '.join(problems)}. Correct it; no pass was begun")

@@ -1,4 +1,4 @@
-"""``--record``: what passes on a cell's links goes to a file, by a thread: who talks to a device waits for no disk."""
+"""``--record``: write the messages on a cell's links to a file, in a thread, so that no device waits for the disk."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from polishd.util.wire_recording import WireMessage, header_line, note_line, pas
 log = logging.getLogger(__name__)
 
 LONGEST = 20_000
-"""Records that wait for the disk; what comes when so many do is dropped, counted and told."""
+"""Largest number of records that wait for the disk; further ones are dropped, counted and logged."""
 LIMIT = 100_000_000
-"""Bytes of a file: hours of a cell."""
+"""Largest size of a file in bytes, enough for hours."""
 FLUSH_S = 1.0
-"""A power cut costs no more than the last of it."""
+"""Interval of the flushes: the longest time that a power cut loses."""
 ENDING = ".wire.jsonl.gz"
 
 
 def place(where: Path, config: CellConfig) -> Path:
-    """The file of that cell: ``where``, or one of its own in the folder ``where``; ConfigError where it exists."""
+    """Return the file of that cell: ``where``, or a new one in the folder ``where``; ConfigError if it exists."""
     if not where.is_dir():
         if where.exists():
-            raise ConfigError(f"--record {where}: exists already; name another file, or a folder")
+            raise ConfigError(f"--record {where}: exists already. Name another file or a folder")
         return where
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     name = re.sub(r"[^\w.-]+", "_", config.cell.name)
@@ -47,25 +47,25 @@ def place(where: Path, config: CellConfig) -> Path:
 
 @contextmanager
 def recording_to(path: Path, config: CellConfig, limit: int = LIMIT) -> Iterator[None]:
-    """All links that are opened in this block, or by tasks that begin in it, are recorded.
+    """Record all links that are opened in this block or by tasks that begin in it.
 
-    ConfigError where the file cannot be made. One that cannot be written later is told in the log: the cell goes on.
+    ConfigError if the file cannot be created. A later write error goes to the log, and the cell goes on.
     """
     try:
         file = path.open("xb")
     except OSError as error:
-        raise ConfigError(f"--record {path}: {error.strerror or error}; name a file that can be made") from error
+        raise ConfigError(f"--record {path}: {error.strerror or error}. Name a writable file") from error
     writer = _Writer(path, file, limit)
     writer.start(config)
     try:
-        with record_received(writer.hear):
+        with record_received(writer.add):
             yield
     finally:
         writer.stop()
 
 
 class _Writer:
-    """The queue and the thread of one file, which the thread closes."""
+    """Queue and thread of one file; the thread closes the file."""
 
     def __init__(self, path: Path, file: IO[bytes], limit: int) -> None:
         self._path, self._raw, self._limit = path, file, limit
@@ -73,7 +73,7 @@ class _Writer:
         self._waiting: queue.Queue[WireMessage | None] = queue.Queue(LONGEST)
         self._lost = 0
         self._over = False
-        """Nothing more is written: the file is full, or the disk failed."""
+        """Nothing more is written: the file is full or the disk failed."""
         self._began_s = time.monotonic()
         self._thread = threading.Thread(target=copy_context().run, args=(self._write,), name="record", daemon=True)
 
@@ -86,8 +86,8 @@ class _Writer:
         self._file.write(header_line(__version__, config.cell.name, began, devices))
         self._thread.start()
 
-    def hear(self, one: WireMessage) -> None:
-        """See Recorder."""
+    def add(self, one: WireMessage) -> None:
+        """Queue a message; drop and count it if the queue is full."""
         if self._over:
             return
         try:
@@ -96,7 +96,7 @@ class _Writer:
             self._lost += 1
 
     def stop(self) -> None:
-        """All that waits is written; a disk that hangs is left, as are threads that do."""
+        """Write all queued messages; abandon a disk or a thread that hangs."""
         with contextlib.suppress(queue.Full):
             self._waiting.put(None, timeout=FLUSH_S)
         self._thread.join(5 * FLUSH_S)
@@ -104,31 +104,33 @@ class _Writer:
     def _write(self) -> None:
         try:
             with self._raw, self._file:
-                self._until_told()
+                self._write_until_stopped()
         except OSError as error:
             log.error("%s: %s: the recording ends here", self._path, error.strerror or error)
         finally:
             self._over = True
 
-    def _until_told(self) -> None:
-        told, flushed_s = 0, time.monotonic()
+    def _write_until_stopped(self) -> None:
+        reported, flushed_s = 0, time.monotonic()
         while True:
             try:
                 one = self._waiting.get(timeout=FLUSH_S)
             except queue.Empty:
                 self._file.flush()
                 continue
-            if (lost := self._lost) > told:
+            if (lost := self._lost) > reported:
                 at_s = time.monotonic() if one is None else one.at_s
-                self._file.write(note_line(at_s - self._began_s, "lost", lost - told))
-                log.warning("%s: %d records were dropped: its disk is slower than the wires", self._path, lost - told)
-                told = lost
+                self._file.write(note_line(at_s - self._began_s, "lost", lost - reported))
+                log.warning(
+                    "%s: %d records were dropped: its disk is slower than the links", self._path, lost - reported
+                )
+                reported = lost
             if one is None:
                 return
             self._file.write(passed_line(one, self._began_s))
             if self._raw.tell() > self._limit:
                 self._file.write(note_line(one.at_s - self._began_s, "full", self._limit))
-                log.warning("%s: has %d bytes, its limit; nothing more is recorded", self._path, self._limit)
+                log.warning("%s: reached its limit of %d bytes; nothing more is recorded", self._path, self._limit)
                 return
             if time.monotonic() - flushed_s > FLUSH_S:
                 self._file.flush()

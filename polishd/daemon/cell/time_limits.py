@@ -1,8 +1,8 @@
-"""The chain of time limits: what devices need, from the devices; what the daemon makes of it, here and nowhere else.
+"""Chain of time limits: the devices state their times; the daemon derives its limits from them in this module only.
 
-A watchdog that is shorter than what it guards, or a robot that would stop before the tool is up, is refused before
-anything moves: peak removal goes as force to 1/3, so that a tool that stands digs 160 nm a second under 12 N, and
-still 33 nm a second under the 0.1 N that it weighs while it is being lifted.
+A watchdog that is shorter than the action that it guards, or a robot that would stop before the tool is up, is refused
+before anything moves: peak removal is proportional to force to the power 1/3, so that a tool that stands digs 160 nm/s
+at 12 N, and still 33 nm/s at the 0.1 N of its weight during the lift.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from polishd.daemon.journal.store import LATE_S
 from polishd.model.devices import ActuatorTimes, LoaderTimes, RobotTimes, SensorTimes, SpindleTimes
 
 ANSWERS_S = 3.0
-"""What a device may take beyond its own action to confirm it: a link opened again, a few requests."""
+"""Longest time beyond a device's action until it confirms: a link opened again, a few requests."""
 LIFT_MARGIN_MM = 5.0
-"""A robot that takes the tool away goes so much farther than the actuator can follow."""
+"""Lift by the robot beyond the stroke of the actuator."""
 LOOK_S = 0.1
-"""Between two looks at a state that nobody tells of by himself."""
+"""Interval of polling a state."""
 END_SIGMAS = 3.0
-"""Standard deviations of a block's reported end that are allowed for."""
+"""Tolerated error of a block's reported end, in standard deviations."""
 LATE_SHARE, MOST_LATE_S = 0.1, 0.1
-"""Share of a block's expected time by which it may be late, and the most of that: no motion is planned more exactly."""
+"""Tolerated lateness of a block as a share of its expected time, and its maximum: accuracy of the planned motion."""
 BEAT_S = 0.15
-"""Most between two heartbeats of ours; three periods of a driver's."""
+"""Longest interval of two heartbeats of the daemon: three periods of a driver."""
 
 
 @dataclass(frozen=True, slots=True)
 class ActionTimeLimit:
-    """One link of the chain: how long something takes, and how long it has to be at least."""
+    """One entry of the chain: the time of an action and its lower limit."""
 
     key: str
-    """Dotted config key that changes it; empty where it only follows from others."""
+    """Dotted config key of the time; empty if it only follows from others."""
     what: str
     seconds: float
     least_s: float = 0.0
@@ -43,26 +43,26 @@ class ActionTimeLimit:
 
     @property
     def holds(self) -> bool:
-        """It is long enough."""
+        """Whether it is long enough."""
         return self.seconds >= self.least_s - 1e-9
 
     def row(self) -> dict[str, Any]:
-        """JSON-ready; ``seconds`` is None for what never happens by itself."""
+        """Return a JSON-ready row; ``seconds`` is None for an action that never happens without a command."""
         return {**asdict(self), "seconds": self.seconds if math.isfinite(self.seconds) else None}
 
 
 def late_s(expected_s: float) -> float:
-    """Return how much longer than expected a block may take in motion."""
+    """Return the tolerated lateness of a block in motion."""
     return min(LATE_SHARE * expected_s, MOST_LATE_S)
 
 
 def _key(port: str, times: ActuatorTimes | RobotTimes | SpindleTimes | SensorTimes, field: str) -> str:
-    """Dotted config key of that field, as the device's own section has it."""
+    """Return the dotted config key of that field in the device's section."""
     return f"{port}.{times.keys.get(field, field)}"
 
 
 def safe_within_s(times: object) -> float:
-    """Longest that a device with those times may take to become safe (a robot also: to lift), and to confirm it."""
+    """Return the longest time of a device to become safe, or of a robot to lift, and to confirm."""
     match times:
         case ActuatorTimes():
             return times.lifted_s + ANSWERS_S
@@ -75,45 +75,45 @@ def safe_within_s(times: object) -> float:
 
 
 def released_within_s(times: object) -> float:
-    """Longest until a device lets go of a client that is gone: its watchdog, its own action, and its word."""
+    """Return the longest time until a device releases a client that is gone: watchdog, action, confirmation."""
     watchdog_s: float = getattr(times, "watchdog_s", 0.0)
     return (watchdog_s if math.isfinite(watchdog_s) else 0.0) + safe_within_s(times)
 
 
 @dataclass(frozen=True, slots=True)
 class TimeLimits:
-    """The daemon's own limits, derived from what the job's devices state."""
+    """Limits of the daemon, derived from the times that the job's devices state."""
 
     actuator: ActuatorTimes
     robot: RobotTimes
     spindle: SpindleTimes
     sensor: SensorTimes | None = None
-    """The independent force sensor's, where there is one."""
+    """Times of the independent force sensor, if there is one."""
 
     @property
     def reading_s(self) -> float:
-        """Longest between two readings of the actuator: a heartbeat and a reading, each answered in time."""
+        """Longest interval of two readings of the actuator: a heartbeat and a reading, each answered in time."""
         return 2 * self.actuator.silence_s + BEAT_S
 
     @property
     def buffer_s(self) -> float:
-        """Motion that must be left in contact: an actuator that hears nothing more lifts within it.
+        """Motion that must be left in contact: within it an actuator without commands lifts.
 
-        One that stays where it is without power does not: within it the robot has noticed, and taken the tool away.
+        An actuator with unpowered = "stays" does not lift: within it the robot detects that and lifts the tool.
         """
         return max(self.actuator.alone_s, self.taken_off_s if self.actuator.unpowered == "stays" else 0.0)
 
     @property
     def taken_off_s(self) -> float:
-        """Longest from the last word of an actuator that fell silent until the robot has taken the tool off."""
+        """Longest time from the last answer of an actuator until the robot has lifted the tool."""
         return self.reading_s + self.robot.stop_s
 
     @property
     def unseen_s(self) -> float:
-        """Longest that the tool can stay on the part after the end of the last block that is recorded.
+        """Longest time that the tool can stay on the part after the end of the last recorded block.
 
-        The robot tells late, two samples are waited for, then the commit; then the actuator hears nothing more, or is
-        told to lift. One without power that stays where it is does not: then the robot stops by itself, at the latest.
+        Sum of the delay of the robot's report, two samples, the commit, and then the lift by command or watchdog. An
+        actuator with unpowered = "stays" does not lift: then contact ends with the robot's watchdog at the latest.
         """
         stays = self.actuator.unpowered == "stays"
         on_s = max(self.actuator.alone_s, self.robot.watchdog_s + self.robot.stop_s if stays else 0.0)
@@ -121,37 +121,37 @@ class TimeLimits:
 
     @property
     def end_blur_s(self) -> float:
-        """How far off the reported end of a block may be."""
+        """Largest error of the reported end of a block."""
         return END_SIGMAS * self.robot.block_end_s
 
     @property
     def no_progress_s(self) -> float:
-        """Time beyond a block's expected time after which a robot that reports no progress counts as standing."""
+        """Time beyond a block's expected time after which a robot without progress counts as standing."""
         return self.robot.report_s + self.end_blur_s + 2 * LOOK_S
 
     @property
     def lift_mm(self) -> float:
-        """How far the robot lifts where the actuator does not."""
+        """Lift by the robot if the actuator does not lift."""
         return self.actuator.stroke_mm + LIFT_MARGIN_MM
 
     @property
     def safe_s(self) -> float:
-        """Longest from leaving contact until everything is told: lift, a robot that lifts instead, the stop."""
+        """Longest time from leaving contact until all devices are safe: lift, lift by the robot, stop."""
         lift_s, stop_s, rest_s = map(safe_within_s, (self.actuator, self.robot, self.spindle))
         return max(rest_s, lift_s + max(stop_s, self.buffer_s) + stop_s)
 
     def chain(
         self, stream_ahead_s: float, *, apart_s: float = math.inf, force_s: float = math.inf
     ) -> tuple[ActionTimeLimit, ...]:
-        """Each limit in the order in which they act, with what it must outlast.
+        """Return the limits in the order in which they act, each with its lower limit.
 
-        Actuator and force sensor may disagree for ``apart_s``, and the force be off its set point for ``force_s``.
+        Actuator and force sensor may disagree for ``apart_s``; the force may be off its set point for ``force_s``.
         """
         coil, robot, spindle = self.actuator, self.robot, self.spindle
         of_coil, of_robot = partial(_key, "actuator", coil), partial(_key, "robot", robot)
         of_spindle = partial(_key, "spindle", spindle)
         lost_s = robot.silence_s + coil.lifted_s
-        stays = [ActionTimeLimit("", "tool taken off by the robot where the actuator has no power", self.taken_off_s)]
+        stays = [ActionTimeLimit("", "tool lifted by the robot if the actuator has no power", self.taken_off_s)]
         return (
             *self._of_sensor(apart_s, force_s),
             ActionTimeLimit(
@@ -163,7 +163,7 @@ class TimeLimits:
             ),
             ActionTimeLimit(
                 of_coil("watchdog_s"),
-                "actuator lets go by itself",
+                "watchdog of the actuator",
                 coil.watchdog_s,
                 coil.silence_s + BEAT_S,
                 "of silence and a heartbeat: the daemon leaves contact first",
@@ -171,12 +171,12 @@ class TimeLimits:
             ActionTimeLimit(of_coil("landing_s"), "landing, at most", coil.landing_s),
             ActionTimeLimit(of_coil("release_s"), "force off, at most", coil.release_s),
             ActionTimeLimit(of_coil("retract_s"), "lift, at most", coil.retract_s),
-            ActionTimeLimit("", "tool up after an order", coil.lifted_s),
-            ActionTimeLimit("", "tool up after the last word", coil.alone_s),
+            ActionTimeLimit("", "tool up after a command", coil.lifted_s),
+            ActionTimeLimit("", "tool up after the last command, by watchdog", coil.alone_s),
             *(stays if coil.unpowered == "stays" else []),
             ActionTimeLimit(
                 of_spindle("watchdog_s"),
-                "spindle stops by itself",
+                "watchdog of the spindle",
                 spindle.watchdog_s,
                 3 * BEAT_S,
                 "of its commands",
@@ -185,7 +185,7 @@ class TimeLimits:
             ActionTimeLimit(of_robot("silence_s"), "robot counts as lost", robot.silence_s),
             ActionTimeLimit(
                 of_robot("watchdog_s"),
-                "robot stops by itself",
+                "watchdog of the robot",
                 robot.watchdog_s,
                 max(coil.alone_s, lost_s),
                 f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
@@ -203,7 +203,7 @@ class TimeLimits:
         )
 
     def _of_sensor(self, apart_s: float, force_s: float) -> tuple[ActionTimeLimit, ...]:
-        """What comes first of all where there is one: a force that is wrong is noticed, and a landing is none."""
+        """Return the limits of the force sensor, which act first: a landing must not count as a wrong force."""
         if self.sensor is None:
             return ()
         late_s = self.sensor.delay_s + 2 * BEAT_S
@@ -227,25 +227,25 @@ class TimeLimits:
 
 
 def stays_on(actuator: ActuatorTimes, robot: RobotTimes) -> str:
-    """Why a tool would stay on the part where its actuator's power fails; empty where it does not."""
+    """Return why the tool would stay on the part after a power failure of the actuator; empty if it would not."""
     if actuator.unpowered == "presses":
         return (
-            "an actuator that presses without power is refused: nothing takes its tool off the part then; give it a "
-            'spring, a counterweight or a valve that lifts, and write unpowered = "lifts"'
+            "an actuator that presses without power is refused: the tool would stay on the part. Add a spring, a "
+            'counterweight or a valve that lifts, and set unpowered = "lifts"'
         )
     if actuator.unpowered == "stays" and not robot.lifts:
         return (
-            "a tool that stays on the part without power needs a robot that takes it away, and the job's cannot; take "
-            "another robot, or an actuator that lifts"
+            "a tool that stays on the part without power needs a robot that lifts it, and the job's robot cannot. Use "
+            "another robot or an actuator that lifts"
         )
     return ""
 
 
 def too_short(chain: Sequence[ActionTimeLimit]) -> list[tuple[str, str]]:
-    """(key, what is wrong and what to do) of each limit that does not hold."""
-    advice = "lengthen it, or shorten what it guards (polishd check prints the chain)"
+    """Return the key and a message for each limit that does not hold."""
+    advice = "Increase it, or reduce the time that it guards (polishd check prints the chain)"
     return [
-        (limit.key, f"{limit.what}: {limit.seconds:g} s; at least {limit.least_s:g} s {limit.because}; {advice}")
+        (limit.key, f"{limit.what}: {limit.seconds:g} s; at least {limit.least_s:g} s {limit.because}. {advice}")
         for limit in chain
         if not limit.holds
     ]

@@ -1,7 +1,7 @@
-"""Progress of the robot in one pass, judged by what it has executed, whatever its state says.
+"""Progress of the robot in one pass, from the executed blocks and independent of the state that it reports.
 
-A robot that stands in contact, or moves slower than planned, removes more than planned. Its state may say "running" all
-the while: a feed override, an interlock, a controller that has stopped. So each block has an expected time.
+A robot that stands in contact, or moves slower than planned, removes more than planned. It may report the state
+"running" meanwhile: feed override, interlock, stopped controller. So each block has an expected time.
 """
 
 from __future__ import annotations
@@ -20,48 +20,48 @@ from polishd.process.removal.excess import Excess, ExcessMap
 from polishd.process.robot.motion import clock_rate
 
 STEP_S = 0.02
-"""Between two looks at the time since the last progress."""
+"""Interval of the checks of the time since the last progress."""
 MOST_STEP_S = 0.1
-"""Most that passes between two such looks, as it is counted: time in which this process did not run does not count."""
+"""Longest interval that counts between two such checks: time in which this process did not run does not count."""
 AWAY_S = 300.0
-"""Longest without progress while the tool is up: a way to the part has blocks whose time is not planned."""
+"""Longest time without progress while the tool is up: blocks of the approach have no planned time."""
 RECENT_S = 0.4
-"""Time over which it is averaged how slow the motion is."""
+"""Time constant of the mean slowness of the motion."""
 FIRST_POINTS = 10
-"""So many points tell the overhead of a machine that no pass has shown yet."""
+"""Number of points from which the overhead of a machine is estimated in its first pass."""
 MOST_OVERHEAD_S = 0.3
-"""Most overhead of a point that is learned during a pass; a larger one stands in machine.block_overhead_s."""
+"""Largest overhead of a point that is estimated during a pass; set a larger one in machine.block_overhead_s."""
 PIECE = 16_384
-"""Blocks whose expected times are computed at once."""
+"""Number of blocks whose expected times are computed at once."""
 SLOW = 0.2
-"""Share by which motion is slower than planned from which on the excess is looked at ahead of the tool."""
+"""Relative slowness from which the excess removal is predicted ahead of the tool."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProgressLimits:
-    """How late the robot's reports may be, and what it may be told to run with."""
+    """Limits of the delay of the robot's reports, and of its speed override."""
 
     late_s: float = 0.3
-    """Beyond a block's expected time: the age of a report and two looks."""
+    """Tolerated time beyond a block's expected time: the age of a report and two checks."""
     start_s: float = 5.0
-    """From the order to run until the first block begins."""
+    """From the command to run until the first block begins."""
     release_s: float = 0.2
     """From leaving contact until the force is off."""
     report_s: float = 0.1
-    """Greatest age of a report."""
+    """Largest age of a report."""
     reports_dwells: bool = True
-    """A move is reported before the dwell after it is over."""
+    """Whether a move is reported before the dwell after it has ended."""
     blur_s: float = 0.0
-    """How far off a block's reported end may be, by a clock as fast as this one."""
+    """Uncertainty of the reported end of a block, for a clock as fast as the daemon's."""
     least_override: float = 0.0
     knows_overhead: bool = True
-    """The planned times have the overhead of each point, as an earlier pass has shown it."""
+    """Whether the planned times contain the overhead of each point, measured in an earlier pass."""
 
     @classmethod
     def of(
         cls, limits: TimeLimits, least_override: float, no_progress_s: float | None, *, knows_overhead: bool
     ) -> ProgressLimits:
-        """Return them for a cell with these time limits; ``no_progress_s`` in the place of the derived one."""
+        """Return the limits for a cell with these time limits; ``no_progress_s`` replaces the derived one."""
         late_s = limits.no_progress_s if no_progress_s is None else no_progress_s
         return cls(
             late_s,
@@ -76,69 +76,69 @@ class ProgressLimits:
 
 
 class Progress:
-    """What was executed, when it was reported, and what that means for the part."""
+    """Executed blocks of one pass with the times of their reports, and the excess removal that follows."""
 
     def __init__(self, plan: Plan, limits: ProgressLimits, excess: ExcessMap | None = None) -> None:
-        """``excess`` of the plan's points; without it slow motion is not judged, only standing."""
+        """``excess`` of the plan's points; without it only a standstill is detected, not slow motion."""
         self._limits = limits
         self._block = plan.program.block
         self._expected_s = expected_block_s(plan, reports_dwells=limits.reports_dwells)
         self._reported = excess
-        """By the controller's own clock."""
+        """Excess by the controller's clock."""
         self._seen = None if excess is None else excess.fresh()
-        """By when the reports came."""
+        """Excess by the arrival times of the reports."""
         self._executed = 0
         self._clock_s = 0.0
-        """Time that has passed here, without what this process did not see."""
+        """Elapsed time, without the time in which this process did not run."""
         self._looked_s: float | None = None
         self._since_s = 0.0
-        """When the robot was told to run, or has progressed last."""
+        """When the robot was commanded to run, or last made progress."""
         self._starting = True
         self._point = 0
-        """First timed point that is not executed yet."""
+        """The first timed point that is not executed yet."""
         self._point_began: tuple[float, float] | None = None
-        """When it began: by the controller's clock, and by this one."""
+        """When it began, by the controller's clock and by this one."""
         self._took_s, self._points = 0.0, 0
-        """Beyond the planned times, and by how many points."""
+        """Time beyond the planned times, and the number of points."""
         self._slow_s = self._recent_s = self._recent_points = 0.0
-        """Of the last points: excess, expected time and number, fading."""
+        """Excess, expected time and number of the latest points, exponentially weighted."""
         self._first: tuple[float, float] | None = None
-        """When the first point began that counts, as ``_point_began``."""
+        """When the first counted point began, as ``_point_began``."""
         self._new: list[int] = []
-        """Points that were not judged yet."""
+        """Points that were not checked yet."""
 
     @property
     def executed(self) -> int:
-        """Blocks that the robot has executed, by its last report."""
+        """Number of blocks that the robot has executed, by its latest report."""
         return self._executed
 
     def start(self, now_s: float) -> None:
-        """The robot is told to run."""
+        """Note that the robot is commanded to run."""
         self._pass(now_s)
         self._since_s, self._starting = self._clock_s, True
         self._point_began = None
 
     def reported(self, executed: int, now_s: float) -> None:
-        """The robot reports how many blocks it has executed."""
+        """Update the number of executed blocks from a report."""
         self._pass(now_s)
         if executed > self._executed:
             self._executed, self._since_s, self._starting = executed, self._clock_s, False
 
     def record(self, block: ExecutedBlock, now_s: float, *, in_contact: bool) -> None:
-        """The robot reports a block with its times."""
+        """Add a block that the robot reports with its times."""
         self.reported(block.seq + 1, now_s)
         if not in_contact or self._reported is None or self._seen is None:
             return
         began = self._point_began or (block.start_s, self._clock_s)
         self._point_began = began
         while self._point < self._block.size and self._block[self._point] < block.seq:
-            self._point += 1  # executed before contact, or not reported by itself
+            self._point += 1  # executed before contact, or not reported separately
         if self._point == self._block.size or self._block[self._point] != block.seq:
             return
         point, expected_s = self._point, float(self._reported.expected_s[self._point])
         reported_s, seen_s = block.end_s - began[0] - expected_s, self._clock_s - began[1] - expected_s
         self._point, self._point_began = point + 1, (block.end_s, self._clock_s)
-        if point == 0:  # it begins at rest, off the part, and may take a while to start
+        if point == 0:  # it begins at rest, off the part, and may start late
             self._first = self._point_began
             return
         self._reported.add(point, reported_s)
@@ -151,7 +151,7 @@ class Progress:
         self._new.append(point)
 
     def look(self, now_s: float, *, in_contact: bool) -> None:
-        """SafetyStop where the robot does not advance, or has removed too much; it is meant to run now."""
+        """Raise SafetyStop if the robot, which has to run now, does not advance or has removed too much."""
         self._pass(now_s)
         stood_s = self._clock_s - self._since_s
         if in_contact and (found := self._judged()):
@@ -178,19 +178,19 @@ class Progress:
 
     @property
     def worst(self) -> float:
-        """Largest share of its limit of excess removal that any place has used up."""
+        """Largest excess removal of all points, as a share of its limit."""
         return 0.0 if self._reported is None else self._reported.worst(self._overhead_s)
 
     @property
     def _overhead_s(self) -> float:
-        """What a point takes beyond its planned time, as this pass shows it where no other has."""
+        """Time of a point beyond its planned time, estimated in this pass if no earlier pass gives it."""
         if self._limits.knows_overhead or not self._points:
             return 0.0
         return min(max(self._took_s / self._points, 0.0), MOST_OVERHEAD_S)
 
     @property
     def _slack_s(self) -> float:
-        """The same, before enough points have told."""
+        """The same; its upper limit until enough points are executed."""
         if self._limits.knows_overhead:
             return 0.0
         return self._overhead_s if self._points >= FIRST_POINTS else MOST_OVERHEAD_S
@@ -204,7 +204,7 @@ class Progress:
         return float(self._expected_s[min(block, self._expected_s.size - 1)]) if self._expected_s.size else 0.0
 
     def _judged(self) -> Excess | None:
-        """Excess at the new points, with what comes until the force is off where the motion is slow."""
+        """Return excess removal beyond its limit at the new points; if motion is slow, also until force off."""
         reported, seen, points, self._new = self._reported, self._seen, self._new, []
         if reported is None or seen is None or not points:
             return None
@@ -226,9 +226,9 @@ class Progress:
         return self._ahead(reported, last, slow, blur_nm) if slow > SLOW else None
 
     def _blur_nm(self, excess: ExcessMap) -> float | None:
-        """Removal by which the reported times may be off; None while that is not known.
+        """Return the removal that corresponds to the uncertainty of the reported times; None while it is unknown.
 
-        A simulated controller's clock may be faster than this one: its reports are as much farther apart by it.
+        The clock of a simulated controller may be faster than this one, which scales the intervals of its reports.
         """
         blur_s = self._limits.blur_s
         if not blur_s:
@@ -240,7 +240,7 @@ class Progress:
         return None if most is None else blur_s * max(most, 1.0) * excess.peak_nm_s
 
     def _ahead(self, excess: ExcessMap, point: int, slow: float, blur_nm: float) -> Excess | None:
-        """Excess that there will be when the force is off, should the motion stay as slow."""
+        """Return the excess removal at force off, if motion stays as slow."""
         left_s = self._limits.release_s + LOOK_S
         counted: list[tuple[int, float]] = []
         for later in range(point + 1, excess.n):
@@ -259,24 +259,24 @@ class Progress:
 
     def _stands(self, expected: str, stood_s: float, beyond: str = "") -> str:
         return (
-            f"robot does not advance: block {self._executed} {expected}, no progress for {stood_s:.1f} s{beyond}; feed "
-            "override, interlock or a stopped controller. Check the robot's controller"
+            f"robot does not advance: block {self._executed} {expected}, no progress for {stood_s:.1f} s{beyond}. "
+            "Check the feed override, the interlocks and the state of the robot's controller"
         )
 
 
 def expected_block_s(plan: Plan, *, reports_dwells: bool = True) -> FloatArray:
     """Return the expected time of each block up to the end of contact, (contact_blocks,) s.
 
-    A block without a time of its own leads to a timed point. Where a dwell carries the time, that is the point's time
-    without the dwell; else it is the point's time, and that of the way there at the same speed. Of a robot that does
-    not report a dwell apart from the move before it, the move's time has that of the dwell too. What is planned for
-    the dwell is removed at that place in any case, so a robot that stands in the move removes no more for it.
+    A block without a programmed time leads to a timed point. If a dwell carries the time, the block's expected time is
+    the point's time without the dwell; otherwise the point's time plus the time of the way there at the same speed. If
+    the robot does not report a dwell separately from the move before it, the move's time contains the dwell. The
+    removal planned for the dwell happens at that point anyway, so a robot that stands in the move removes no more.
     """
     program, expected = plan.program, plan.expected_time_s
     found = np.zeros(plan.contact_blocks)
     if not expected.size:
         return found
-    for first in range(0, plan.contact_blocks, PIECE):  # a long program's temporaries would outgrow its blocks
+    for first in range(0, plan.contact_blocks, PIECE):  # limits the memory for a long program
         blocks = np.arange(first, min(first + PIECE, plan.contact_blocks))
         point = np.minimum(np.searchsorted(program.block, blocks), expected.size - 1)
         if program.encoding == "dwell":
@@ -293,7 +293,7 @@ def expected_block_s(plan: Plan, *, reports_dwells: bool = True) -> FloatArray:
 
 
 def low_override(robot: RobotProgress, least: float) -> str:
-    """Return what is wrong with the speed override that the robot reports; empty where it is high enough or unknown."""
+    """Return the message for a speed override below ``least``; empty if it is high enough or unknown."""
     if robot.override is None or robot.override >= least:
         return ""
     return (

@@ -1,9 +1,9 @@
 """Contact, and every way out of it.
 
-The tool is lifted before motion stops: one that stands while it presses digs a pit, at the paper's process 160 nm a
-second under 12 N, and still 33 under 0.1 N. So force goes off and the tool up at once, the spindle stops beside that,
-and motion goes on along the program until the lift is confirmed. Where the actuator does not confirm it, the robot
-takes the tool away, and where it cannot, motion goes on until the actuator has let go by itself.
+The tool is lifted before motion stops: a tool that stands while it presses digs a pit, with the paper's process 160
+nm/s at 12 N and still 33 nm/s at 0.1 N. So force off and retract come first, the spindle stops at the same time, and
+motion goes on along the program until the lift is confirmed. If the actuator does not confirm the lift, the robot lifts
+the tool; if the robot cannot, motion goes on until the actuator's watchdog has lifted it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from polishd.model.devices import ForceSample, SensedForce, SpeedSample
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop, WrongSeat
 from polishd.util.wire_recording import record_sent
 
-# The independent force sensor in contact: tared before, watched meanwhile, and asked once more where both disagreed.
+# The independent force sensor: tared before contact, watched in contact, read once more if both forces disagreed.
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 async def tare(cell: Cell, max_difference_n: float) -> None:
-    """Nothing touches: the sensor reads 0. DeviceFault where that has moved by more than ``max_difference_n``."""
+    """Tare the sensor with the tool up; DeviceFault if its zero has moved by more than ``max_difference_n``."""
     sensor, name = cell.force_sensor, cell.used.get("force_sensor", "")
     if sensor is None:
         return
@@ -46,24 +46,24 @@ async def tare(cell: Cell, max_difference_n: float) -> None:
             if name in cell.tared and not abs(reading.force_n) <= max_difference_n:
                 raise DeviceFault(
                     f"{name}: reads {reading.force_n:.2f} N with the tool up, and was 0 there before the last contact; "
-                    f"at most {max_difference_n:g} N (force_sensor.max_difference_n): "
-                    f"look at the sensor, its cable and what hangs on it"
+                    f"at most {max_difference_n:g} N (force_sensor.max_difference_n). "
+                    f"Check the sensor, its cable and the load on it"
                 )
             await sensor.tare()
     except TimeoutError:
         raise LinkError(f"{name}: was not tared within {sensor.times.tare_s + ANSWERS_S:g} s") from None
-    cell.hears(name)
+    cell.mark_answered(name)
     cell.tared.add(name)
 
 
 async def watch_sensor(cell: Cell, forces: ForceCheck, touch: ContactRecord, landed: asyncio.Event) -> None:
-    """Judge each of its readings, until that raises; a silence is a fault."""
+    """Check each reading of the force sensor until a check raises; silence is a fault."""
     sensor = cell.force_sensor
     if sensor is None:
         return
 
     def judge(reading: SensedForce) -> None:
-        cell.hears(cell.used["force_sensor"])
+        cell.mark_answered(cell.used["force_sensor"])
         cell.live.sensed = reading
         touch.sensed(reading)
         _require_sound(reading)
@@ -74,7 +74,7 @@ async def watch_sensor(cell: Cell, forces: ForceCheck, touch: ContactRecord, lan
 
 
 async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: ContactRecord) -> None:
-    """Judge each value of the monitors' signals that measure the force, until that raises."""
+    """Check each value of the monitors' force signals until a check raises."""
     broken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def judge(name: str, force_n: float) -> None:
@@ -93,23 +93,23 @@ async def watch_force_signals(cell: Cell, forces: ForceCheck, touch: ContactReco
 
 
 async def diagnose_force_disagreement(cell: Cell, error: BaseException, max_difference_n: float) -> BaseException:
-    """The error; where two forces disagreed, and the tool is up since, with what both read there."""
+    """Return the error; if two forces disagreed and the tool is up now, with the readings of both."""
     sensor = cell.force_sensor
     if not isinstance(error, ForcesApart) or sensor is None or cell.unsafe:
         return error
     try:
         async with asyncio.timeout(sensor.times.delay_s + ANSWERS_S):
-            await asyncio.sleep(sensor.times.delay_s)  # what it reads now may be from before the lift
-            told, sensed = await _next(cell.actuator.samples()), await _next(sensor.samples())
-    except Exception as late:  # noqa: BLE001 - a plugin may raise anything: what ended contact is told all the same
-        log.warning("actuator and force sensor are not both asked again: %s", late)
+            await asyncio.sleep(sensor.times.delay_s)  # its readings may still be from before the lift
+            force, sensed = await _next(cell.actuator.samples()), await _next(sensor.samples())
+    except Exception as late:  # noqa: BLE001 - a plugin may raise anything: the error that ended contact comes first
+        log.warning("actuator and force sensor could not be read again: %s", late)
         return error
-    return ForcesApart(f"{error}; {verdict(told.force_n, sensed.force_n, max_difference_n)}")
+    return ForcesApart(f"{error}; {verdict(force.force_n, sensed.force_n, max_difference_n)}")
 
 
 def _require_sound(reading: SensedForce) -> None:
     if reading.fault:
-        raise DeviceFault(f"force sensor: fault bits {reading.fault:#06x}; look at it and at its cable")
+        raise DeviceFault(f"force sensor: fault bits {reading.fault:#06x}. Check the sensor and its cable")
 
 
 async def _next(samples: AsyncIterator[T]) -> T:
@@ -120,59 +120,59 @@ async def _next(samples: AsyncIterator[T]) -> T:
 
 
 STILL_RPM = 5.0
-"""A spindle told to rest may read so much."""
+"""Largest speed reading of a spindle at rest."""
 LOOK_S = 0.05
-"""Between two looks at what others do meanwhile."""
+"""Polling interval of the steps of other devices."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContactLimits:
-    """What is watched while the tool presses on the part."""
+    """Limits in contact."""
 
     force_n: float
     rpm: float
     force_band: float
-    """Relative; outside it for longer than ``alarm_delay_s`` is a safety stop."""
+    """Relative band; a safety stop if the force is outside it for longer than ``alarm_delay_s``."""
     alarm_delay_s: float
     deepest_mm: float = math.inf
-    """The tool is lifted where it is farther out than that, whether it touches or not."""
+    """Largest extension of the tool, in contact or not."""
     apart_n: float = math.inf
-    """How far the words of actuator and force sensor may be apart; farther for ``apart_s`` is a safety stop."""
+    """Largest difference of actuator and force sensor; a safety stop if it is larger for ``apart_s``."""
     apart_s: float = 0.5
     force_max_n: float = math.inf
-    """One reading above it, of whichever device, is a safety stop, also while the tool lands."""
+    """A single reading of any device above it is a safety stop, also while the tool lands."""
     force_max_key: str = "process.force_max_n"
-    """Dotted config key that changes it."""
+    """Dotted config key of that limit."""
     least_override: float = 0.0
-    """Of the robot's speed, where it can be read."""
+    """Lowest speed override of the robot, if it can be read."""
     no_progress_s: float | None = None
-    """Beyond a block's expected time, until the robot counts as standing; None: by the age of its reports."""
+    """Time beyond a block's expected time until a standstill is assumed; None: by the age of the reports."""
     excess_nm: float | None = None
-    """Most that slow motion may remove beyond the plan at any place; None: by tolerance and plan."""
+    """Largest excess removal at any point; None: from tolerance and plan."""
 
 
 @dataclass(slots=True)
-class _Watch:
-    """One contact, as its watchers see it."""
+class _ContactMonitor:
+    """State of one contact, shared by its monitoring tasks."""
 
     limits: ContactLimits
     touch: ContactRecord
     forces: ForceCheck
     landed: asyncio.Event = field(default_factory=asyncio.Event)
     silent: bool = False
-    """The actuator does not answer any more."""
+    """The actuator has stopped answering."""
 
 
 @asynccontextmanager
 async def contact(cell: Cell, limits: ContactLimits, touch: ContactRecord) -> AsyncIterator[ForceCheck]:
-    """The tool presses and spins inside this block, watched; whatever ends the block, contact ends first.
+    """Press and spin the tool inside this block and monitor it; every exit from the block leaves contact first.
 
-    Enter it with the robot standing at a landing point off the part, tool retracted. Both are watched from the moment
-    that they are switched on: landing takes seconds, and a spindle or an actuator that nobody feeds stops by itself.
-    ``touch`` hears all samples, and when the tool is ordered off and is off. Yields what the words on the force say.
+    Enter it with the robot standing at a landing point off the part, tool retracted. Spindle and actuator are monitored
+    from the moment that they are switched on: landing takes seconds, and their watchdogs stop them without heartbeats.
+    ``touch`` records all samples, and the times of the retract command and of the lift. Yields the force check.
     """
     sensor = cell.force_sensor
-    watch = _Watch(limits, touch, _force_check(limits, 0.0 if sensor is None else sensor.times.delay_s))
+    watch = _ContactMonitor(limits, touch, _force_check(limits, 0.0 if sensor is None else sensor.times.delay_s))
     RESERVE.take()
     cell.pressing, cell.leaving = True, ""
     try:
@@ -190,7 +190,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: ContactRecord) -> As
             await _land(cell, watch)
             yield watch.forces
             touch.leave()
-            # Still watched: the tool is off before the watchers, or a fault while leaving would go unseen.
+            # Monitor until the tool is off, or a fault while leaving contact would be missed.
             await leave_contact(cell)
             touch.off(cell.clock.now_s())
             for watcher in watchers:
@@ -204,7 +204,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: ContactRecord) -> As
             error = await diagnose_force_disagreement(cell, error, limits.apart_n)
         raise error from errors
     except BaseException as error:
-        if not isinstance(error, asyncio.CancelledError):  # an order, or what has ended beside
+        if not isinstance(error, asyncio.CancelledError):  # a command, or another task that has ended
             cell.breaks(error)
         with reraise_after_safe(error):
             await make_safe(cell, touch, silent=watch.silent)
@@ -215,7 +215,7 @@ async def contact(cell: Cell, limits: ContactLimits, touch: ContactRecord) -> As
 
 @contextlib.contextmanager
 def reraise_after_safe(error: BaseException) -> Iterator[None]:
-    """An order that comes while contact is left takes the place of nothing but another order."""
+    """Suppress a cancellation while contact is left, unless ``error`` is a cancellation as well."""
     try:
         yield
     except asyncio.CancelledError:
@@ -224,26 +224,26 @@ def reraise_after_safe(error: BaseException) -> Iterator[None]:
 
 
 async def leave_contact(cell: Cell) -> None:
-    """Force off, tool lifted. Motion is not touched: the caller knows that the robot stands off the part or goes on."""
+    """Switch the force off and lift the tool. The robot is not stopped: it stands off the part or goes on."""
     await cell.actuator.set_force(0.0)
     await cell.actuator.retract()
 
 
 async def make_safe(cell: Cell, touch: ContactRecord | None = None, *, silent: bool = False) -> None:
-    """Tool lifted and spindle off side by side, and the robot stopped once the lift is confirmed; whatever fails.
+    """Lift the tool and stop the spindle at the same time, then stop the robot once the lift is confirmed.
 
-    All devices that this process has opened are asked, and no others: another program may be in contact with those.
-    With the ``touch`` of a contact that is left: where the job's actuator does not
-    lift, its robot takes the tool away; ``silent``: it is known not to answer, so the robot does that at once.
-    ``cell.emergency``: motion stops at once, whatever the part costs.
+    Applies to all devices that this process has opened and to no others, which another program may use in contact.
+    ``touch`` is the record of a contact that is left: if the job's actuator does not lift, its robot lifts the tool.
+    With ``silent`` the actuator is known not to answer, so the robot lifts at once. With ``cell.emergency`` motion
+    stops at once, even if that damages the part.
 
     Runs to its end even if the caller is cancelled meanwhile; failures are logged and kept in ``cell.unsafe``.
     """
-    await run_to_completion(_Leaving(cell, touch, silent=silent).run())
+    await run_to_completion(_ContactExit(cell, touch, silent=silent).run())
 
 
 async def run_to_completion(work: Coroutine[Any, Any, None]) -> None:
-    """What must not be cut short by an order, or by a second signal: that is told when it is over."""
+    """Run work that no command or second signal may cancel; a cancellation is raised after its end."""
     task = asyncio.ensure_future(work)
     cancelled: asyncio.CancelledError | None = None
     while not task.done():
@@ -256,8 +256,8 @@ async def run_to_completion(work: Coroutine[Any, Any, None]) -> None:
         raise cancelled
 
 
-class _Leaving:
-    """One way to safety: what was asked of the devices, and who did not confirm."""
+class _ContactExit:
+    """One exit to the safe state: commands to the devices, and the devices that did not confirm."""
 
     def __init__(self, cell: Cell, touch: ContactRecord | None, *, silent: bool) -> None:
         self._cell = cell
@@ -265,10 +265,10 @@ class _Leaving:
         self._silent = silent
         self._failures: dict[str, str] = {}
         self._lifted_mm = 0.0
-        """By the job's robot."""
+        """Lift by the job's robot."""
 
     async def run(self) -> None:
-        """Steps that do not depend on each other run side by side."""
+        """Run independent steps at the same time."""
         cell, tool = self._cell, self._cell.used["actuator"]
         if self._touch is not None:
             self._touch.leave()
@@ -285,13 +285,13 @@ class _Leaving:
         cell.unsafe = tuple(f"{name}: {self._failures[name]}" for name in cell.devices if name in self._failures)
 
     async def _stop_motion(self, robot: str, lifts: Mapping[str, asyncio.Task[bool]]) -> None:
-        """Which tool an idle robot may hold is not known: it waits for all."""
+        """Stop that robot after the lift. It is unknown which tool an idle robot holds, so it waits for all."""
         used = self._cell.used
         pressing = self._touch if robot == used["robot"] else None
         its_own = lifts if pressing is None else {used["actuator"]: lifts[used["actuator"]]}
         async with asyncio.TaskGroup() as group:
             lifted = group.create_task(self._until_lifted(robot, its_own, pressing))
-            while not self._cell.emergency and not lifted.done():  # which may be declared meanwhile
+            while not self._cell.emergency and not lifted.done():  # an emergency may be declared meanwhile
                 await asyncio.wait({lifted}, timeout=LOOK_S)
             lifted.cancel()
         await self._step(robot)
@@ -299,32 +299,33 @@ class _Leaving:
     async def _until_lifted(
         self, robot: str, lifts: Mapping[str, asyncio.Task[bool]], pressing: ContactRecord | None
     ) -> None:
-        """Motion goes on meanwhile, along the program; off the part, where the actuator does not lift.
+        """Wait until the tool is off the part, by its actuator, by the robot or by the actuator's watchdog.
 
-        An idle robot may hold a tool whose actuator was not opened: that one counts as not lifted.
+        An idle robot may hold a tool whose actuator was not opened: that tool counts as not lifted.
         """
         cell, begun_s = self._cell, self._cell.clock.now_s()
         tools = list(lifts) if pressing is not None else cell.at("actuator")
         if lifts and (pressing is None or not self._silent):
-            await asyncio.wait(lifts.values())  # which cancels none of them, should this be
+            await asyncio.wait(lifts.values())  # a cancellation of this wait cancels none of them
         if _all_lifted(tools, lifts):
             return
         if pressing is not None and await self._lifted_by_robot(pressing):
             return
         if pressing is not None or await self._moves(robot):
-            let_go_s = begun_s + max(cast(ForceActuator, cell.devices[name]).times.alone_s for name in tools)
-            while cell.clock.now_s() < let_go_s and not _all_lifted(tools, lifts):
+            released_s = begun_s + max(cast(ForceActuator, cell.devices[name]).times.alone_s for name in tools)
+            while cell.clock.now_s() < released_s and not _all_lifted(tools, lifts):
                 await cell.clock.sleep(LOOK_S)
 
     async def _lifted_by_robot(self, touch: ContactRecord) -> bool:
-        """Whether the robot took the tool off the part."""
+        """Return whether the robot has lifted the tool off the part."""
         limits = self._cell.limits
         touch.lifts(self._cell.clock.now_s())
         try:
             await with_deadline(safe_within_s(limits.robot), self._cell.robot.lift(limits.lift_mm))
-        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: then motion goes on
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: motion goes on then
             log.warning(
-                "the robot does not lift the tool off (%s): motion goes on until the actuator has let go", error
+                "the robot does not lift the tool (%s): motion goes on until the actuator's watchdog lifts it",
+                error,
             )
             return False
         self._lifted_mm = limits.lift_mm
@@ -335,25 +336,25 @@ class _Leaving:
         robot = cast(Robot, self._cell.devices[name])
         try:
             return (await with_deadline(robot.times.silence_s, robot.progress())).state == "running"
-        except Exception as error:  # noqa: BLE001 - as above: it is asked to stop next
-            log.warning("%s does not say whether it moves, and counts as moving: %s", name, error)
+        except Exception as error:  # noqa: BLE001 - as above: it is stopped next
+            log.warning("%s does not report whether it moves, and counts as moving: %s", name, error)
             return True
 
     async def _step(self, name: str) -> bool:
-        """Whether the device confirmed."""
+        """Make the device safe; return whether it confirmed."""
         device, begun_s = self._cell.devices[name], self._cell.clock.now_s()
         within_s = safe_within_s(getattr(device, "times", None))
         try:
             with record_sent(name):
                 await with_deadline(within_s, device.make_safe())
-        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the others are asked all the same
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything: the other devices still have to be made safe
             self._failures[name] = str(error) or f"no answer within {within_s:g} s"
             log.error("make_safe: %s did not confirm (%s); its own watchdog takes over", name, self._failures[name])
-            unheard = name == self._cell.used["actuator"] and isinstance(error, LinkError | TimeoutError)
-            if unheard and self._cell.limits.actuator.unpowered == "lifts":
-                self._off(begun_s + self._cell.limits.actuator.alone_s)  # whatever of this reached it says the same
+            unconfirmed = name == self._cell.used["actuator"] and isinstance(error, LinkError | TimeoutError)
+            if unconfirmed and self._cell.limits.actuator.unpowered == "lifts":
+                self._off(begun_s + self._cell.limits.actuator.alone_s)  # its watchdog lifts it in any case
             return False
-        self._cell.hears(name)
+        self._cell.mark_answered(name)
         if name == self._cell.used["actuator"]:
             self._off(self._cell.clock.now_s())
         return True
@@ -364,11 +365,11 @@ class _Leaving:
 
 
 def _all_lifted(tools: Iterable[str], lifts: Mapping[str, asyncio.Task[bool]]) -> bool:
-    """Whether each of these actuators has been asked and has confirmed."""
+    """Return whether each of these actuators was commanded to lift and has confirmed."""
     return all(name in lifts and lifts[name].done() and lifts[name].result() for name in tools)
 
 
-async def _land(cell: Cell, watch: _Watch) -> None:
+async def _land(cell: Cell, watch: _ContactMonitor) -> None:
     limits, landing_s = watch.limits, cell.limits.actuator.landing_s
     try:
         async with asyncio.timeout(landing_s + limits.alarm_delay_s):
@@ -377,21 +378,20 @@ async def _land(cell: Cell, watch: _Watch) -> None:
     except TimeoutError:
         raise SafetyStop(
             f"the tool did not land: no force within {limits.force_band:.0%} of {limits.force_n:g} N after "
-            f"{landing_s:g} s (actuator.landing_s){_last_words(cell)}; check the landing point's height and the "
+            f"{landing_s:g} s (actuator.landing_s){_latest_readings(cell)}. Check the landing point's height and the "
             "actuator's stroke"
         ) from None
 
 
-def _last_words(cell: Cell) -> str:
-    """What the devices read last."""
+def _latest_readings(cell: Cell) -> str:
     force, sensed = cell.live.force, cell.live.sensed
-    said = (
+    readings = (
         []
         if force is None
         else [f"the actuator reads {force.force_n:.2f} N, {'on' if force.in_contact else 'off'} the part"]
     )
-    said += [] if sensed is None or cell.force_sensor is None else [f"the force sensor {sensed.force_n:.2f} N"]
-    return "".join(f"; {one}" for one in said)
+    readings += [] if sensed is None or cell.force_sensor is None else [f"the force sensor {sensed.force_n:.2f} N"]
+    return "".join(f"; {one}" for one in readings)
 
 
 def _force_check(limits: ContactLimits, delay_s: float = 0.0) -> ForceCheck:
@@ -407,26 +407,26 @@ def _force_check(limits: ContactLimits, delay_s: float = 0.0) -> ForceCheck:
     )
 
 
-async def _watch_force(cell: Cell, watch: _Watch) -> None:
+async def _watch_force(cell: Cell, watch: _ContactMonitor) -> None:
     limits, good_at = watch.limits, 0.0
     stroke_mm = cell.limits.actuator.stroke_mm
 
     def judge(sample: ForceSample) -> None:
         nonlocal good_at
-        cell.hears(cell.used["actuator"])
+        cell.mark_answered(cell.used["actuator"])
         cell.live.force = sample
         watch.touch.force(sample)
         if sample.fault:
             raise DeviceFault(f"actuator: fault bits {sample.fault:#06x} while in contact")
         if sample.position_mm is not None and sample.position_mm > limits.deepest_mm:
-            raise WrongSeat(f"the tool is {sample.position_mm:.2f} mm out of its rest, at most {limits.deepest_mm:.2f}")
+            raise WrongSeat(f"the tool is extended by {sample.position_mm:.2f} mm, at most {limits.deepest_mm:.2f} mm")
         if sample.in_contact and sample.position_mm is not None and sample.position_mm > stroke_mm:
             raise SafetyStop(
-                f"the actuator reads contact {sample.position_mm:.2f} mm out of its rest, and its stroke is "
-                f"{stroke_mm:g} mm (actuator.stroke_mm): it may press against its own end stop, and a robot that lifts "
-                "the tool would not lift it off. Check the part, and the stroke"
+                f"the actuator reports contact at {sample.position_mm:.2f} mm extension, and its stroke is "
+                f"{stroke_mm:g} mm (actuator.stroke_mm): it may press against its end stop, where "
+                "the robot cannot lift it off the part. Check the part and the stroke"
             )
-        if watch.touch.left:  # by our word only: an actuator that lifts by itself has lost its force
+        if watch.touch.left:  # only after the daemon's command: an actuator that lifts uncommanded is a fault
             return
         watch.forces.actuator(sample.at_s, sample.force_n)
         if in_band(sample, limits):
@@ -447,17 +447,17 @@ async def _watch_force(cell: Cell, watch: _Watch) -> None:
 
 
 def in_band(sample: ForceSample, limits: ContactLimits) -> bool:
-    """Whether the tool presses as it should."""
+    """Return whether the tool is in contact with the force in its band."""
     return sample.in_contact and abs(sample.force_n - limits.force_n) <= limits.force_band * limits.force_n
 
 
-async def _watch_speed(cell: Cell, watch: _Watch) -> None:
+async def _watch_speed(cell: Cell, watch: _ContactMonitor) -> None:
     limits = watch.limits
     good_at: float | None = None
 
     def judge(sample: SpeedSample) -> None:
         nonlocal good_at
-        cell.hears(cell.used["spindle"])
+        cell.mark_answered(cell.used["spindle"])
         cell.live.speed = sample
         watch.touch.speed(sample)
         if sample.fault:

@@ -1,4 +1,4 @@
-"""Streaming a plan: what is sent stays a bounded time ahead of what is executed."""
+"""Stream a plan to the robot, a bounded time ahead of execution, and record the executed blocks."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from polishd.process.removal.excess import ExcessMap
 
 log = logging.getLogger(__name__)
 
-Heard = Callable[[RobotProgress], None]
+OnProgress = Callable[[RobotProgress], None]
 Ended = Callable[[asyncio.Task[None]], None]
 
 CHUNK = 128
-"""Blocks handed over at once."""
+"""Number of blocks sent at once."""
 WATCH_S = 0.1
 SLOW_LOOKS = 2
-"""Looks in a row at a speed override that is too low: one alone may show the machine accelerate."""
+"""Consecutive reports of a low speed override: a single one may show an acceleration."""
 STANDS = 3
-"""So many looks in a row at a robot that stands are no accident of timing."""
+"""Consecutive reports of a standstill: fewer may be a coincidence of timing."""
 
 
 class Stream:
-    """One pass of one plan through one robot: approach, polish, retreat, each block once and in order."""
+    """One pass of a plan on a robot: approach, polish, retreat; each block once and in order."""
 
     def __init__(
         self,
@@ -47,19 +47,19 @@ class Stream:
         stream_ahead_s: float,
         least_s: float,
         *,
-        heard: Heard = lambda _: None,
+        on_progress: OnProgress = lambda _: None,
         limits: ProgressLimits | None = None,
         excess: ExcessMap | None = None,
     ) -> None:
-        """``least_s`` of motion must be left in contact: it lasts until the tool is up, whatever happens.
+        """``least_s`` of motion must be left in contact, enough until the tool is up after any fault.
 
-        ``heard`` is told each of the robot's words, for whoever watches. ``limits`` and ``excess`` of its progress.
+        ``on_progress`` receives each progress report of the robot. ``limits`` and ``excess`` of its progress.
         """
         self._limits = limits or ProgressLimits()
         self._progress = Progress(plan, self._limits, excess)
         self._lands = False
-        """The tool is on its way to the part, or on it."""
-        self._heard = heard
+        """The tool moves to the part or is on it."""
+        self._on_progress = on_progress
         self._plan = plan
         self._robot = robot
         self._clock = clock
@@ -70,9 +70,9 @@ class Stream:
         self._executed = robot.executed(0)
         self._filled = asyncio.Event()
         self._short: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        """Fails when too little motion is held."""
+        """Fails when the robot holds too little motion."""
         self._target: int | None = None
-        """Blocks below it are to be run now; None while the robot is meant to stand."""
+        """The robot has to run the blocks below it; None while it has to stand."""
 
     async def feed(self) -> None:
         """Keep the robot's buffer between one and two look-aheads until all blocks are sent."""
@@ -89,20 +89,20 @@ class Stream:
         self._filled.set()
 
     async def watch(self) -> None:
-        """SafetyStop when the robot says that it stands although it was told to run, or holds too little motion.
+        """Raise SafetyStop if the robot reports a standstill when it has to run, or holds too little motion.
 
-        The same where it reports a speed override that is too low, once the tool is on its way to the part.
+        Also if it reports a speed override that is too low while the tool moves to the part or is on it.
         """
         standing = slow = 0
         while True:
             await self._clock.sleep(WATCH_S)
             robot = await self._robot.progress()
-            self._heard(robot)
+            self._on_progress(robot)
             self._progress.reported(robot.executed, self._clock.now_s())
-            words = low_override(robot, self._limits.least_override) if self._lands else ""
-            slow = slow + 1 if words else 0
+            problem = low_override(robot, self._limits.least_override) if self._lands else ""
+            slow = slow + 1 if problem else 0
             if slow >= SLOW_LOOKS:
-                raise SafetyStop(words)
+                raise SafetyStop(problem)
             self._check_supply()
             stands = self._target is not None and robot.state != "running" and robot.executed < self._target
             standing = standing + 1 if stands else 0
@@ -112,37 +112,37 @@ class Stream:
                 )
 
     async def advance(self) -> None:
-        """SafetyStop when the robot executes nothing, or is slower than planned, whatever its state says."""
+        """Raise SafetyStop if the robot executes nothing or is slower than planned, whatever state it reports."""
         while True:
             await self._clock.sleep(STEP_S)
             if self._target is not None and self._progress.executed < self._target:
                 self._progress.look(self._clock.now_s(), in_contact=self._in_contact)
 
     async def supplied(self) -> None:
-        """SafetyStop as soon as the robot is seen to hold too little motion; whoever follows its blocks goes on."""
+        """Raise SafetyStop as soon as the robot holds too little motion; the recording of its blocks goes on."""
         await self._short
 
     async def approach(self) -> None:
-        """To the landing point, tool retracted; the robot then stands still. DeviceRefused if it holds too little."""
-        with contextlib.suppress(TimeoutError):  # a robot may hold less than the look-ahead: then it is full now
+        """Move to the landing point, tool retracted, and stand there. DeviceRefused if the robot holds too little."""
+        with contextlib.suppress(TimeoutError):  # the buffer of a robot may be shorter than the look-ahead
             async with asyncio.timeout(2 * self._stream_ahead_s):
                 await self._filled.wait()
         if self._starves():
             raise DeviceRefused(
-                f"the robot holds {self._robot.buffer_s:.2f} s of motion and takes no more, and the tool would need "
-                f"{self._least_s:.2f} s to be up again if the actuator fell silent: enlarge the controller's window, "
-                "or shorten the actuator's watchdog or actuator.retract_s; nothing was moved"
+                f"the robot buffers {self._robot.buffer_s:.2f} s of motion; {self._least_s:.2f} s are needed to lift "
+                "the tool if the actuator stops answering. Increase the controller's buffer, or reduce the actuator's "
+                "watchdog or actuator.retract_s; nothing was moved"
             )
         if self._plan.approach_blocks:
             await self._robot.resume(until=self._plan.approach_blocks)
             async for _ in self._until(self._plan.approach_blocks):
                 pass
-        if words := low_override(await self._robot.progress(), self._limits.least_override):
-            raise DeviceRefused(f"{words}; the tool was not put down")
+        if problem := low_override(await self._robot.progress(), self._limits.least_override):
+            raise DeviceRefused(f"{problem}; the tool did not land")
         self._lands = True
 
     async def polish(self) -> AsyncIterator[ExecutedBlock]:
-        """Blocks in contact, as they are executed; the robot stands still at the other landing point afterwards."""
+        """Run the blocks in contact and yield each executed one; the robot then stands at the other landing point."""
         self._in_contact = True
         try:
             await self._robot.resume(until=self._plan.contact_blocks)
@@ -154,11 +154,11 @@ class Stream:
                 log.info("excess removal, at most %.0f%% of its limit", 100 * self._progress.worst)
 
     def leave(self) -> None:
-        """Contact is being left: the robot may stand, or run dry, when it likes. What it executes is told further."""
+        """Stop the checks while contact is left: the robot may stand or run dry. Executed blocks are still recorded."""
         self._in_contact, self._lands, self._target = False, False, None
 
     async def retreat(self) -> None:
-        """The rest of the program, tool retracted."""
+        """Run the rest of the program, tool retracted."""
         last = len(self._plan.segments)
         if self._plan.contact_blocks < last:
             await self._robot.resume()
@@ -176,21 +176,20 @@ class Stream:
                 if block.seq >= end - 1:
                     return
         finally:
-            self._target = None  # whatever ends this stretch, the robot is then meant to stand
+            self._target = None  # the robot has to stand then, whatever ended this part
         progress = await self._robot.progress()
         raise DeviceFault(
             f"the robot ended the program at block {progress.executed} of {end} ({progress.state}: {progress.detail})"
         )
 
     def _check_supply(self) -> None:
-        """Leave contact while there still is motion: a robot that runs dry stops with the tool on the part."""
+        """Leave contact while motion is left: a robot that runs dry stops with the tool on the part."""
         if self._in_contact and self._starves() and not self._short.done():
             self._short.set_exception(
                 SafetyStop(
                     f"only {self._robot.buffer_s:.2f} s of motion are left in the robot at block {self._sent}, and "
-                    f"lifting may take {self._least_s:.2f} s: the stream cannot keep up; "
-                    "lengthen job.stream_ahead_s or "
-                    "look at the link"
+                    f"a lift may take {self._least_s:.2f} s: the stream cannot keep up. "
+                    "Increase job.stream_ahead_s or check the link"
                 )
             )
 
@@ -206,14 +205,14 @@ async def streaming(
     stream_ahead_s: float,
     *,
     least_s: float,
-    heard: Heard = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
     ended: Ended = lambda _: None,
     limits: ProgressLimits | None = None,
     excess: ExcessMap | None = None,
 ) -> AsyncIterator[Stream]:
-    """Prepare the robot and feed it in the background for as long as the block lasts; ``ended``: a done callback."""
+    """Prepare the robot and feed it in the background during this block; ``ended`` is a done callback."""
     await robot.prepare(plan)
-    stream = Stream(plan, robot, clock, stream_ahead_s, least_s, heard=heard, limits=limits, excess=excess)
+    stream = Stream(plan, robot, clock, stream_ahead_s, least_s, on_progress=on_progress, limits=limits, excess=excess)
     try:
         async with asyncio.TaskGroup() as group:
             tasks = [
@@ -231,14 +230,14 @@ async def streaming(
         raise root_cause(errors) from errors
 
 
-# Blocks in contact are recorded as the robot tells of them, from its start until it stands again, whatever ends it.
+# Blocks in contact are recorded as the robot reports them, from its start until it stands again.
 
 TURN_BLOCKS = 50
-"""Where many are told at once, others have their turns after so many."""
+"""Number of blocks of a long report after which other tasks run."""
 
 
 class Recorder:
-    """Follows the robot of one pass in contact."""
+    """Records the executed blocks of one pass in contact."""
 
     def __init__(
         self, cell: Cell, journal: Journal, cycle: int, touch: ContactRecord, group: asyncio.TaskGroup
@@ -252,9 +251,9 @@ class Recorder:
         self._news = asyncio.Event()
 
     async def follow(self, stream: Stream) -> None:
-        """Polish: returns when all blocks in contact are told and judged, SafetyStop where the disk does not keep up.
+        """Polish until all blocks in contact are reported and decided; SafetyStop if the disk does not keep up.
 
-        The robot is followed further until ``close``, whatever ends this.
+        Recording goes on until ``close``, whatever ends this.
         """
         self._touch.begin(self._cell.clock.now_s())
         self._task = self._group.create_task(self._take(stream.polish()), name="record what is executed")
@@ -264,10 +263,10 @@ class Recorder:
         finally:
             stream.leave()
         self._task.result()
-        await self._touch.known.wait()  # the actuator is watched meanwhile: a silence ends it
+        await self._touch.known.wait()  # the actuator is monitored meanwhile: its silence ends this wait
 
     async def close(self) -> None:
-        """After contact was left too early: record what the robot still tells, and how far the tool may have come."""
+        """After contact was left early: record the blocks that the robot still reports and the uncertain ones."""
         robot = None
         try:
             with contextlib.suppress(DeviceError, TimeoutError):
@@ -276,13 +275,13 @@ class Recorder:
             self._touch.flush()
             await mark_interrupted(self._cell, self._journal, self._cycle, self._touch, robot)
         except PolishdError as error:
-            log.error("what the tool may have touched is not recorded (%s): the next start asks the robot", error)
+            log.error("the uncertain blocks are not recorded (%s): the next start reads them from the robot", error)
 
     async def _take(self, blocks: AsyncIterator[ExecutedBlock]) -> None:
         turn = 0
         try:
             async for block in blocks:
-                self._touch.told(block, self._cell.clock.now_s())
+                self._touch.add_block(block, self._cell.clock.now_s())
                 self._news.set()
                 turn += 1
                 if turn % TURN_BLOCKS == 0:
@@ -290,12 +289,12 @@ class Recorder:
         except PolishdError as error:
             if not self._touch.left:
                 raise
-            log.warning("while contact was left, the robot tells no more: %s", error)  # what ended it is told first
+            log.warning("the robot stopped reporting while contact was left: %s", error)  # the first error comes first
         finally:
             self._news.set()
 
     async def _caught_up(self) -> RobotProgress:
-        """The robot's last word, once all that it says it executed is recorded."""
+        """Return the robot's progress once all blocks that it reports as executed are recorded."""
         robot = await self._cell.robot.progress()
         while self._task is not None and not self._task.done() and self._touch.last_seq + 1 < robot.executed:
             self._news.clear()
@@ -305,7 +304,7 @@ class Recorder:
 
 @asynccontextmanager
 async def recording(cell: Cell, journal: Journal, cycle: int, touch: ContactRecord) -> AsyncIterator[Recorder]:
-    """From before contact until it is left: what runs while the tool is lifted is recorded, too."""
+    """Record executed blocks from before contact until it is left, including the blocks during the lift."""
     try:
         async with asyncio.TaskGroup() as group:
             recorder = Recorder(cell, journal, cycle, touch, group)

@@ -1,7 +1,7 @@
-"""What a job begins with: what the last pass of its series has taught. The journal's passes are the only memory.
+"""Initial estimates of a job: those after the last pass of its series, which the journal holds.
 
-A series is what a removal rate belongs to: process, compliance, robot, instrument and tool; of a learner that reads
-more than the rate from its maps, the part's form, too.
+A series is all that a removal rate depends on: process, compliance, robot, instrument and tool. Where
+``process.estimates`` reads more than the rate from the maps, the form of the part belongs to it too.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse
 from polishd.pipeline.steps import initial_estimates
 
-# What other cells of a shop have learned of a recipe, as the shop offered it to this one: events of the journal.
+# Removal rates of other cells of a shop for the same recipe: events of the journal.
 
 RECIPE = ("process.",)
 TOOL = "estimates.tool"
 FORGOTTEN = "forgotten"
-"""The event behind which nothing is remembered; its data has the last pass before it, ``job`` and ``cycle``."""
+"""Event that makes all earlier estimates void. Its data names the last pass before it: ``job`` and ``cycle``."""
 UNKNOWN_SHARE, ANOTHER_SHARE = 3.0, 6.0
-"""``limits.max_rate_change`` by these: the rate's standard error before any pass, and from one machine to another."""
+"""``limits.max_rate_change`` divided by these: standard error of the rate before any pass, and between machines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,19 +54,19 @@ class ShopRate:
     """Its standard error on that cell's machine."""
 
     def on_another_machine(self, max_rate_change: float) -> Estimate:
-        """What it says of this one's rate: less sure, and never less than of a machine of which nothing is known."""
+        """Return the estimate for this machine: less certain, but no less than for an unknown machine."""
         sigma = math.hypot(self.sigma, max_rate_change / ANOTHER_SHARE)
         return Estimate(self.rate, min(sigma, max_rate_change / UNKNOWN_SHARE))
 
-    def told(self) -> str:
-        """Whose it is, for people."""
+    def source(self) -> str:
+        """Return the description of its pass and cell."""
         day = datetime.fromtimestamp(self.at_s, UTC)
-        words = f"pass {self.of_cycle + 1} of job {self.job!r} of the cell {self.cell!r}"
-        return f"{words} ({day:%Y-%m-%d %H:%M} UTC; another machine, offered by the shop)"
+        source = f"pass {self.of_cycle + 1} of job {self.job!r} of the cell {self.cell!r}"
+        return f"{source} ({day:%Y-%m-%d %H:%M} UTC; another machine, offered by the shop)"
 
 
 def recipe_of(terms: Mapping[str, Any]) -> str:
-    """What identifies the recipe of a job that was begun with those terms, on whatever machine: process and tool.
+    """Return the id of the recipe, process and tool, of a job with these terms. It is the same on any machine.
 
     Empty where ``process.estimates`` is not ``rate``: the estimates then hold for this machine alone.
     """
@@ -78,7 +78,7 @@ def recipe_of(terms: Mapping[str, Any]) -> str:
 
 
 def latest_offer(read: Callable[[str, Sequence[Any]], list[tuple[Any, ...]]], recipe: str) -> ShopRate | None:
-    """The last one of that recipe since anything was forgotten; ``read`` gives all rows of a query of the journal."""
+    """Return the last offered rate of that recipe that is not void. ``read`` returns all rows of a journal query."""
     sql = (
         "SELECT data FROM event WHERE name = ? AND json_extract(data, '$.recipe') = ? "
         "AND id > ifnull((SELECT max(id) FROM event WHERE name = ?), 0) ORDER BY id DESC LIMIT 1"
@@ -86,12 +86,12 @@ def latest_offer(read: Callable[[str, Sequence[Any]], list[tuple[Any, ...]]], re
     found = read(sql, (ShopRateReceived.name, recipe, FORGOTTEN)) if recipe else []
     if not found:
         return None
-    said = json.loads(found[0][0])
-    return ShopRate(**{key: said[key] for key in ShopRate.__slots__})
+    offer = json.loads(found[0][0])
+    return ShopRate(**{key: offer[key] for key in ShopRate.__slots__})
 
 
 def _content(value: Any) -> Any:
-    """Of a file what stands in it, wherever it lies."""
+    """Return the hash of a file's content in place of its path."""
     if isinstance(value, Mapping):
         return value.get("sha256")
     return [_content(one) for one in value] if isinstance(value, list) else value
@@ -101,20 +101,20 @@ SERIES = ("process.", "compliance.", "kinematics.", "roles.", "instrument.", "es
 """Sections and keys of a job's terms."""
 FORM = "part."
 MACHINE = ("machine.accel_mm_s2", "machine.corner_deg", "machine.block_overhead_s")
-"""What the time that a block takes beyond its motion is learned beside."""
+"""Keys on which the estimated overhead of a block depends."""
 FAR_BACK = 500
-"""Passes among which one of the series is looked for."""
+"""Number of passes that are searched for one of the series."""
 DAY_S = 86400.0
 
 Read = Callable[[str, Sequence[Any]], list[tuple[Any, ...]]]
-"""(SQL, its values) -> all rows of the journal."""
+"""(SQL, values) -> all rows of the journal."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class JournalledEstimates:
-    """What a whole pass has taught, as its row keeps it."""
+    """Estimates after a complete pass, from its row."""
 
     job: str
     cycle: int
@@ -126,21 +126,21 @@ class JournalledEstimates:
     believed: Mapping[str, Any]
     """As of ``EstimatesInUse.facts``."""
     anew: bool
-    """The pass showed a tool that a person had to see to: what it taught is of the tool before."""
+    """The pass showed a tool that an operator had to check: the estimates belong to the earlier state of the tool."""
     recipe: str = ""
-    """Of process and tool, whatever the machine (``offers.recipe_of``); empty of a pass of an earlier polishd."""
+    """Id from ``recipe_of``; empty for a pass of an earlier polishd."""
 
 
 @dataclass(frozen=True, slots=True)
 class InitialEstimates:
-    """What a job begins with, and why, in words."""
+    """Estimates at the begin of a job, and a note on their source."""
 
-    believed: EstimatesInUse
+    estimates: EstimatesInUse
     note: str
 
 
 def facts(terms: Mapping[str, Any] | None, believed: EstimatesInUse) -> dict[str, Any]:
-    """What a pass's row keeps of what it has taught a job that was begun with those terms."""
+    """Return the facts for a pass's row: the estimates after it, and the series and recipe of its job's terms."""
     own = terms or {}
     return {
         "taught": {
@@ -156,62 +156,67 @@ def facts(terms: Mapping[str, Any] | None, believed: EstimatesInUse) -> dict[str
 def initial_estimates_of(
     journal: Journal, recipe: Recipe, terms: Mapping[str, Any] | None = None
 ) -> InitialEstimates | None:
-    """What this job begins with, if the cell's journal has a lesson of its series. Reads the file: call in a thread.
+    """Return the estimates of the last pass of the job's series in this cell's journal.
 
-    Where it has none, what another cell of the shop has learned of the recipe, if that was offered.
-    ``terms``: of one of several tools; None: the job's own.
+    Where there is none, return the rate that the shop offers from another cell. None: the job starts without. It reads
+    the file: call it in a thread. ``terms``: of one of several tools; None: the job's.
     """
     if not recipe.remembers:
         return None
     terms = terms or journal.terms or {}
     series = series_of(terms)
     found = journalled_estimates(journal.store.read, before=journal.number)
-    lesson = next((one for one in found if one.series == series), None)
-    if lesson is None and (offer := latest_offer(journal.store.read, recipe_of(terms))) is not None:
+    last = next((one for one in found if one.series == series), None)
+    if last is None and (offer := latest_offer(journal.store.read, recipe_of(terms))) is not None:
         return _of_another_cell(offer, recipe)
-    if lesson is None or lesson.anew:
+    if last is None or last.anew:
         return None
     first = initial_estimates(recipe)
-    days = _days_since(lesson.at_s)
+    days = _days_since(last.at_s)
     try:
-        taught = EstimatesInUse.load(lesson.believed, recipe.model.beliefs)
+        taught = EstimatesInUse.load(last.believed, recipe.model.beliefs)
         removal = recipe.model.later(taught.removal, days)
     except PolishdError as error:
-        log.warning("what the pass %d of the job %r taught is of no use: %s", lesson.cycle, lesson.job, error)
+        log.warning("the estimates after pass %d of the job %r are not used: %s", last.cycle + 1, last.job, error)
         return None
-    if abs(removal.rate.value - 1) > recipe.max_rate_change:  # which was narrowed since
+    if abs(removal.rate.value - 1) > recipe.max_rate_change:  # the limit was reduced since
         return None
-    same = lesson.machine == _hash({key: terms.get(key) for key in MACHINE})
+    same = last.machine == _hash({key: terms.get(key) for key in MACHINE})
     overhead_s = taught.block_overhead_s if same else first.block_overhead_s
     believed = replace(taught, removal=removal, block_overhead_s=overhead_s)
-    return InitialEstimates(believed, f"begins with what {_told(lesson)} has taught: {describe(believed)}")
+    day = datetime.fromtimestamp(last.at_s, UTC)
+    source = f"pass {last.cycle + 1} of job {last.job!r} ({day:%Y-%m-%d %H:%M} UTC)"
+    return InitialEstimates(believed, f"starts with the estimates after {source}: {describe(believed)}")
 
 
 def _of_another_cell(offer: ShopRate, recipe: Recipe) -> InitialEstimates | None:
-    """Its rate, less certain: by the days since, and as this is another machine."""
+    """Return its rate, less certain: by the days since, and because this is another machine."""
     first = initial_estimates(recipe)
     rate = offer.on_another_machine(recipe.max_rate_change)
     removal = recipe.model.later(replace(first.removal, rate=rate), _days_since(offer.at_s))
     if abs(rate.value - 1) > recipe.max_rate_change:
         return None
     believed = replace(first, removal=removal)
-    return InitialEstimates(believed, f"begins with what {offer.told()} has taught: {describe(believed)}")
+    return InitialEstimates(believed, f"starts with the estimates after {offer.source()}: {describe(believed)}")
 
 
 def _days_since(at_s: float) -> float:
-    """None of a clock that was put back."""
+    """Return the days since then; 0 where the clock was set back."""
     return max(time.time() - at_s, 0.0) / DAY_S
 
 
 def series_of(terms: Mapping[str, Any]) -> str:
-    """What identifies the series of a job that was begun with those terms."""
+    """Return the id of the series of a job with these terms."""
     prefixes = SERIES if terms.get("process.estimates", "rate") == "rate" else (*SERIES, FORM)
     other = {"part.id", *LIMITS_OF_PROCESS}
     return _hash({key: one for key, one in terms.items() if key.startswith(prefixes) and key not in other})
 
 
 def journalled_estimates(read: Read, before: int | None = None) -> Iterator[JournalledEstimates]:
-    """The last ones of a cell, the latest first; ``before``: of jobs with a lower number. None that are forgotten."""
+    """Yield the last estimates of a cell that are not void, the latest first.
+
+    ``before``: only of jobs with a lower number.
+    """
     gone = read("SELECT data FROM event WHERE name = ? ORDER BY id DESC LIMIT 1", (FORGOTTEN,))
     behind = json.loads(gone[0][0]) if gone else {"job": NO_JOB, "cycle": -1}
     sql = (
@@ -227,9 +232,9 @@ def journalled_estimates(read: Read, before: int | None = None) -> Iterator[Jour
 
 
 def forget_estimates(state_dir: Path, reason: str) -> None:
-    """From now on nothing is remembered of what passes have taught so far; their rows stay as they are.
+    """Make all estimates of earlier passes void; their rows do not change.
 
-    ConfigError where a daemon runs the cell: its job goes on with what it knows.
+    ConfigError where a daemon runs the cell: its job uses its estimates further.
     """
     with locked(state_dir), closing(Store.open(state_dir / JOURNAL_NAME)) as store:
         last = store.read("SELECT job, cycle FROM pass ORDER BY job DESC, cycle DESC LIMIT 1")
@@ -243,17 +248,12 @@ def forget_estimates(state_dir: Path, reason: str) -> None:
 
 
 def describe(believed: EstimatesInUse) -> str:
-    """For people."""
+    """Return the description of the estimates."""
     rate = believed.removal.rate
     value = f"{rate.value:.3f}" if rate.sigma is None else with_error(rate.value, rate.sigma)
     more = len(getattr(believed.removal, "applied", ()))
     others = f", {more} more parameters" if more else ""
     return f"rate {value}, {1e3 * believed.block_overhead_s:.1f} ms a block{others}"
-
-
-def _told(lesson: JournalledEstimates) -> str:
-    day = datetime.fromtimestamp(lesson.at_s, UTC)
-    return f"pass {lesson.cycle + 1} of job {lesson.job!r} ({day:%Y-%m-%d %H:%M} UTC)"
 
 
 def _hash(values: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""A job: one part, one recipe, what is believed of the process, and what each cycle leaves behind."""
+"""Job: one part, one recipe, the estimates of the process, and the records of each cycle."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.acceptance import forecast_of
-from polishd.pipeline.decisions import Decision, decide, worthless_pass
+from polishd.pipeline.decisions import Decision, decide, small_gain_finding
 from polishd.pipeline.disk_space import require_room
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import (
@@ -50,11 +50,11 @@ from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.excess import ExcessMap
 from polishd.process.robot.motion import executed_s
 
-# What a summary says of each cycle.
+# Entries of a summary, one a cycle.
 
 
 def cycle_entries(journal: Journal, *, several_tools: bool) -> list[dict[str, Any]]:
-    """One entry a measurement; what belongs to the pass after it is None where there was none."""
+    """Return one entry a measurement. Values of the pass after it are None where there was none."""
     passes = {record.cycle: record for record in journal.passes}
     return [_entry(journal, record, passes.get(record.cycle), several_tools) for record in journal.history]
 
@@ -72,18 +72,18 @@ def _entry(journal: Journal, measured: MapRecord, run: PassRecord | None, severa
     }
 
 
-# The passes watched over cycles, jobs and restarts: what each showed stands in its row of the journal.
+# Statistics of passes over cycles, jobs and restarts. The indicators of each pass are in its row of the journal.
 
 PROCESS = ("process.", "compliance.", "kinematics.", "roles.")
-"""Sections of the config that make the process: rates of passes by others say nothing of this one's."""
+"""Sections of the config that define the process: rates of another process are not comparable."""
 FAR_BACK = 8
-"""Passes among which the last one that was watched is looked for."""
+"""Number of passes that are searched for the last one with indicators."""
 
 
 def watch(journal: Journal, cycle: int, shown: PassIndicators, limits: FindingLimits) -> tuple[Finding, ...]:
-    """Keep what that cycle's pass showed, and say what is found in it that was not told of it before.
+    """Record the indicators of that cycle's pass, and return the findings that were not reported before.
 
-    A pass is watched again where the cell was held over it and measures anew: a person knows of it then.
+    A pass is examined again where the cell was held after it and measures again: the operator knows its findings then.
     """
     (record,) = (one for one in journal.passes if one.cycle == cycle)
     earlier = [
@@ -93,17 +93,17 @@ def watch(journal: Journal, cycle: int, shown: PassIndicators, limits: FindingLi
     ]
     series = extend_series(_series(journal, cycle), shown)
     found = findings(series, [*earlier, shown], limits)
-    told = {one["kind"] for one in record.facts.get("findings", ())}
+    reported = record.facts.get("findings", ())
     if any(one.stops == "cell" for one in found):
-        series = PassSeries(series.process)  # a person sees to the tool: what follows is held against what it is then
-    new = tuple(one for one in found if one.kind not in told)
-    said = [*record.facts.get("findings", ()), *map(asdict, new)]
-    journal.add_facts(cycle, {"shown": asdict(shown), "series": asdict(series), "findings": said})
+        series = PassSeries(series.process)  # the operator checks the tool: its new state is the reference
+    new = tuple(one for one in found if one.kind not in {each["kind"] for each in reported})
+    all_found = [*reported, *map(asdict, new)]
+    journal.add_facts(cycle, {"shown": asdict(shown), "series": asdict(series), "findings": all_found})
     return new
 
 
 def _series(journal: Journal, cycle: int) -> PassSeries:
-    """With the pass before, of whichever job; one that begins where that was by another process."""
+    """Return the series up to the pass before, of any job; a new one where that pass had another process."""
     process = _process(journal.terms)
     last = next((facts["series"] for facts in journal.passes_before(cycle, FAR_BACK) if "series" in facts), None)
     if last is None or last["process"] != process:
@@ -112,7 +112,7 @@ def _series(journal: Journal, cycle: int) -> PassSeries:
 
 
 def _process(terms: Mapping[str, Any] | None) -> str:
-    """What identifies the process that a job was begun with."""
+    """Return the id of the process in a job's terms."""
     known = (terms or {}).items()
     own = {key: value for key, value in known if key.startswith(PROCESS) and key not in LIMITS_OF_PROCESS}
     return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()[:16]
@@ -125,7 +125,7 @@ log = logging.getLogger(__name__)
 
 
 class StoredArrays(NamedTuple):
-    """Names in the array store: of a plan's arrays, and of what the next solve can start from."""
+    """Names in the array store: of the arrays of a plan, and of the start of the next solution."""
 
     plan: str = ""
     start: str = ""
@@ -133,7 +133,7 @@ class StoredArrays(NamedTuple):
 
 @dataclass
 class Job:
-    """What the cycle asks and tells; see ``cycle.polish`` for the order in which it does."""
+    """Steps of a cycle and their records; ``cycle.polish`` calls them in order."""
 
     tools: ToolSequence
     _: KW_ONLY
@@ -145,49 +145,48 @@ class Job:
     max_cycles: int
     stream_ahead_s: float
     findings: tuple[Finding, ...] = field(init=False, default=())
-    """What was found in the last pass, and not told before."""
-    _remembers: tuple[str, ...] = field(init=False, default=())
-    """In words, of an earlier job."""
+    """New findings of the last pass."""
+    _initial_notes: tuple[str, ...] = field(init=False, default=())
+    """Notes on the source of the initial estimates."""
     _surfaces: dict[int, MeasureResult] = field(init=False, default_factory=dict)
     _planned: dict[int, PlanResult] = field(init=False, default_factory=dict)
     _stored: StoredArrays = field(init=False, default=StoredArrays())
     _masks: Masks | None = field(init=False, default=None)
     _lay: Registration | None = field(init=False, default=None)
-    """Where the part lay in the last map."""
+    """Position of the part in the last map."""
     _blocks: int = field(init=False, default=0)
     handled: set[tuple[int, str]] = field(init=False, default_factory=set)
-    """Cycles and steps beside polishing (``Phase``) that were done, or that a person was asked for."""
+    """Cycles and steps of part handling that were done, or that the daemon requested from the operator."""
 
-    people: RunFolderWriter = field(init=False)
-    """What it leaves in its run folder."""
+    writer: RunFolderWriter = field(init=False)
+    """Writer of its run folder."""
 
     def __post_init__(self) -> None:
-        self.people = RunFolderWriter(self.folder, self.journal)
+        self.writer = RunFolderWriter(self.folder, self.journal)
 
     @property
     def recipe(self) -> Recipe:
-        """Of the tool whose turn it is."""
+        """Recipe of the current tool."""
         return self.tools.now.recipe
 
     @property
     def program(self) -> Program:
-        """Its part program."""
+        """Part program of the current tool."""
         return self.tools.now.program
 
     @property
     def tool(self) -> str:
-        """The tool whose turn it is; empty where the cell has one."""
+        """Name of the current tool; empty where the cell has one tool."""
         return self.tools.now.tool
 
     async def load(self) -> None:
-        """Take up what an earlier run of the daemon knew: masks, beliefs, last surface and last plan.
+        """Load the state of an earlier run of the daemon: masks, estimates, last surface and last plan.
 
-        Before its first pass: what the last job of its series has taught.
-
-        ConfigError where the store has lost something that the journal names.
+        Before the first pass, load the estimates of the last job of its series. ConfigError where a file that the
+        journal names is missing from the store.
         """
         history, passes = self.journal.history, self.journal.passes
-        self._remembers = await self.tools.load()
+        self._initial_notes = await self.tools.load()
         if not history:
             return
         self._masks, self._lay = self._measured(history[0]).masks, self._measured(history[-1]).registration
@@ -197,63 +196,63 @@ class Job:
             planned = self._plan_of(record)
             self._surfaces = {found.cycle: self._measured(found) for found in history if found.cycle == record.cycle}
             self._planned = {record.cycle: planned}
-            self.tools.believe(planned.believed)
-        await self.people.remake()
+            self.tools.update_estimates(planned.believed)
+        await self.writer.remake()
 
     @property
     def last_cycle(self) -> int:
-        """The cycle that only measures: passes that were interrupted do not count as passes."""
+        """The cycle that only measures. Interrupted passes do not count."""
         return self.max_cycles + sum(record.how == "interrupted" for record in self.journal.passes)
 
     # measure
 
     async def measured(self, cycle: int, surface: SurfaceMap) -> MeasureResult:
-        """The map on the process grid; journalled and kept in the run folder."""
+        """Return the map on the process grid, and write it to the journal and the run folder."""
         measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
         if not self.journal.passes:
-            measured = replace(measured, notes=(*measured.notes, *self._remembers))
+            measured = replace(measured, notes=(*measured.notes, *self._initial_notes))
         files = await asyncio.to_thread(measured.files)
         arrays = await asyncio.to_thread(self.journal.arrays.put, files["surface.npz"])
         facts = {**measured.facts(), "run_dir": str(self.folder.path)}
         self.journal.record_map(cycle, surface.sha256, surface.path or "", facts, arrays)
         self._masks, self._lay = measured.masks, measured.registration
         folder = self.folder.cycle(cycle)
-        await self.people.keep(folder.map_file, surface)
-        await self.people.keep(folder.write, files)
-        await self.people.remake()
+        await self.writer.keep(folder.map_file, surface)
+        await self.writer.keep(folder.write, files)
+        await self.writer.remake()
         stats, notes = measured.stats, list(measured.notes)
-        told = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
-        self.publish(events.MapMeasured(cycle=cycle, stats=stats, notes=notes, **told))
+        values = {"spikes": measured.spikes, "judged": facts["judged"], "run_dir": facts["run_dir"]}
+        self.publish(events.MapMeasured(cycle=cycle, stats=stats, notes=notes, **values))
         return measured
 
     # learn, solve, plan
 
     async def learn(self, cycle: int, surface: MeasureResult, again: tuple[Diagnosis, ...] | None = None) -> bool:
-        """Compare what the last pass removed with what its executed dwell should have; not after an interruption.
+        """Compare the removal of the last complete pass with its prediction, and update the estimates.
 
-        True where nothing was learned, since another map must tell first (`Taught.doubted`); ``again`` is what those
-        maps named. GateStop where the removal is not what was planned.
+        Return True where only another map can decide (`LearnResult.doubted`): the estimates do not change.
+        ``again``: causes that such maps showed. RemovalCheckStop where the removal does not agree with the plan.
         """
         self.findings = ()
-        before = self._surfaces.get(cycle - 1)  # after a hold a cycle is measured, and learned from, again
+        before = self._surfaces.get(cycle - 1)  # after a hold the daemon measures the cycle again
         self._surfaces[cycle] = surface
         done = [record for record in self.journal.passes if record.cycle == cycle - 1 and record.how == "done"]
         if before is None or not done:
             return False
-        self.tools.take_of(done[0])  # after a hold it may be the next one's turn already
+        self.tools.take_of(done[0])  # after a hold the next tool may be the current one
         times = await asyncio.to_thread(self._at_points, cycle - 1)
         planned = self._planned[cycle - 1]
         expected_nm = planned.certificate.predicted_rms_nm
         last = ExecutedPass(before, surface, planned.asked_s, *times, expected_nm, planned.forecast, again)
-        taught: LearnResult = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.believed)
+        taught: LearnResult = await self.compute(steps.learn, self.recipe, self.program, last, self.tools.estimates)
         if taught.doubted:
             return True
         folder = self.folder.cycle(cycle)
-        await self.people.keep(folder.write, await asyncio.to_thread(taught.files))
+        await self.writer.keep(folder.write, await asyncio.to_thread(taught.files))
         if taught.verdict.stop:
             self.publish(events.RemovalCheckFailed(cycle=cycle, stop=taught.verdict.stop, cycle_dir=str(folder.path)))
             raise RemovalCheckStop(f"{taught.verdict.stop} (see {folder.path / 'gate.png'})")
-        self.tools.believe(taught.believed)
+        self.tools.update_estimates(taught.believed)
         self.journal.add_facts(cycle - 1, initial_estimates.facts(self.tools.terms, taught.believed))
         self.publish(events.EstimatesUpdated(cycle=cycle, notes=taught.notes, beliefs=taught.believed.facts()))
         if taught.shown is not None:
@@ -263,24 +262,24 @@ class Job:
         return False
 
     def decide(self, cycle: int, surface: MeasureResult) -> Decision:
-        """Decide what follows that cycle's measurement, once its pass was learned from."""
+        """Decide what follows that cycle's measurement, after the update of the estimates."""
         torn = [record.cycle for record in self.journal.passes if record.how != "done"]
-        since = max(torn, default=-1)  # a pass that was cut off leaves a step on the surface, which is no divergence
+        since = max(torn, default=-1)  # an interrupted pass leaves a step on the surface, which is no divergence
         earlier = [tolerated_nm(record.stats) for record in self.journal.history[:-1] if record.cycle > since]
         return decide(self.recipe, earlier, surface, self.findings, self.last_cycle - cycle)
 
     async def solve(self, cycle: int, surface: MeasureResult) -> SolveResult:
-        """Dwell with a certificate, kept in the run folder whether it will be used or not."""
+        """Return the dwell with its certificate, and write it to the run folder."""
         last = self._planned.get(cycle - 1)
         warm = last.kept if last is not None and last.tool == self.tool else None
         within = {"within_s": dwell_step.limit(self.recipe)}
         solved = await self.compute(dwell_step.solve_first, self.tools.to_solve(), surface, warm, **within)
-        await self.people.keep(self.folder.cycle(cycle).write, solved.files())
+        await self.writer.keep(self.folder.cycle(cycle).write, solved.files())
         self.publish(events.DwellSolved(cycle=cycle, certificate=solved.dwell.certificate))
         return solved
 
     async def plan(self, cycle: int, surface: MeasureResult, solved: SolveResult) -> Plan:
-        """The rewritten program; what the next cycle needs of it is kept for the journal, the rest for people."""
+        """Return the rewritten program. Arrays for the next cycle go to the store, files to the run folder."""
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed)
         planned = PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
@@ -288,40 +287,40 @@ class Job:
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
         self._stored = StoredArrays(*names)
         self._planned[cycle] = planned
-        await self.people.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
+        await self.writer.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
 
-    def worthless(self, cycle: int) -> bool:
-        """Whether the pass that was planned will hardly leave the surface better than it is: nobody makes it then.
+    def pass_not_worthwhile(self, cycle: int) -> bool:
+        """Return whether the planned pass will hardly improve the surface, so that the job does not make it.
 
-        Not of a tool after which others have their turns: what it leaves for them counts.
+        False for a tool that other tools follow: their passes remove the rest.
         """
         if self.tools.left:
             return False
-        if found := worthless_pass(self.recipe, self._planned[cycle].forecast):
+        if found := small_gain_finding(self.recipe, self._planned[cycle].forecast):
             self.publish(events.FindingReported(cycle=cycle, kind=found.kind, what=found.what, stops=found.stops))
         return found is not None
 
     async def refuse_unsafe(self, plan: Plan) -> None:
-        """PlanRefused with every violation that a check found, HostFault where a disk fills or software changed."""
-        await asyncio.to_thread(_refuse_unsafe, self, plan)  # checks look at every block, and a disk may hang
+        """PlanRefused with every violation; HostFault where a disk is full or installed software changed."""
+        await asyncio.to_thread(_refuse_unsafe, self, plan)  # checks read every block, and a disk may hang
 
     # run
 
     async def excess(self, plan: Plan) -> ExcessMap:
-        """The limits of removal beyond that plan, for the robot's progress in contact."""
+        """Return the limits of removal beyond that plan, for the robot's progress in contact."""
         turn = self.tools.now
         return await asyncio.to_thread(excess_map, turn.recipe, plan, turn.contact.excess_nm)
 
     @property
     def knows_overhead(self) -> bool:
-        """A pass has taught what a block takes beyond its motion."""
-        return self.tools.believed.block_overhead_s != self.recipe.envelope.block_overhead_s
+        """The overhead of a block is an estimate from a pass, not the configured value."""
+        return self.tools.estimates.block_overhead_s != self.recipe.envelope.block_overhead_s
 
     async def begin_pass(self, cycle: int, plan: Plan, robot: RobotProgress, reach_s: float) -> None:
-        """The intent, durable before anything moves, with how far the tool can get unseen."""
+        """Record the begin of the pass, durable before any motion. ``reach_s``: as of ``PassRecord``."""
         planned = self._planned[cycle]
-        self._planned = {cycle: planned}  # what came before is of no more use
+        self._planned = {cycle: planned}  # earlier plans are not needed any more
         self._blocks = 0
         self.journal.begin_pass(
             cycle,
@@ -333,33 +332,33 @@ class Job:
             **self._stored._asdict(),
             reach_s=reach_s,
         )
-        told = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
-        self.publish(events.PassStarted(cycle=cycle, tool=self.tool, **told))
+        values = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
+        self.publish(events.PassStarted(cycle=cycle, tool=self.tool, **values))
 
     def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
-        """Blocks were executed while the tool was on the part, or may have been."""
+        """Record blocks that the robot executed while the tool was on the part, or may have been."""
         self.journal.record_executed(cycle, records)
         before, self._blocks = self._blocks, self._blocks + len(records)
         if self._blocks // PROGRESS_BLOCKS > before // PROGRESS_BLOCKS:
             self.publish(events.PassProgressed(cycle=cycle, block=records[-1].block.seq + 1))
 
     async def end_pass(self, cycle: int) -> None:
-        """The pass is over, tool lifted, robot at rest."""
+        """Record the end of the pass: the tool is lifted and the robot at rest."""
         self.journal.end_pass(cycle, "done")
-        await self.people.executed(cycle)
+        await self.writer.executed(cycle)
         self.publish(events.PassEnded(cycle=cycle, executed_s=self.journal.contact_s(cycle)))
 
     async def cut_off(self, cycle: int) -> None:
-        """The pass did not come to its end: what is known of it is there for people, unless the journal is lost."""
+        """Write ``executed.csv`` of an interrupted pass, unless the journal is lost."""
         with suppress(SafetyStop):
-            await self.people.executed(cycle)
+            await self.writer.executed(cycle)
 
     def executed_s(self, cycle: int) -> FloatArray:
-        """(n,) process time that each timed point really had in that cycle's pass, s; 0 where it was not run."""
+        """(n,) executed process time of each timed point in that cycle's pass, s; 0 where it was not executed."""
         return self._at_points(cycle)[0]
 
     def _at_points(self, cycle: int) -> tuple[FloatArray, FloatArray]:
-        """(n,) the same, and weighted by the force and the speed that really acted, s."""
+        """(n,) the same, s; and (n,) the same, weighted by the measured force and speed, s."""
         turn = next((self.tools.of(one) for one in self.journal.passes if one.cycle == cycle), self.tools.now)
         blocks, point = self.journal.executed(cycle), turn.program.block
         run, seconds = blocks.possible, blocks.duration_s
@@ -367,15 +366,15 @@ class Job:
         return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])
 
     def names(self) -> dict[str, str]:
-        """Of job and part."""
+        """Return the ids of job and part."""
         return {"job": self.recipe.job.id, "part": self.recipe.part.id}
 
     def cycles(self) -> list[dict[str, Any]]:
-        """One entry a measurement; what belongs to the pass after it is None where there was none."""
+        """Return one entry a measurement. Values of the pass after it are None where there was none."""
         return cycle_entries(self.journal, several_tools=bool(self.tool))
 
     def summary(self) -> dict[str, Any]:
-        """The job's part of ``summary.json``."""
+        """Return the job's part of ``summary.json``."""
         return {**self.recipe.facts(), "cycles": self.cycles(), "phase_times_s": self.journal.phase_times_s()}
 
     def _measured(self, record: MapRecord) -> MeasureResult:

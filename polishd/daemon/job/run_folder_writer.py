@@ -1,4 +1,4 @@
-"""What a job leaves in its run folder, beside the event loop: the journal's own words, in files that people open."""
+"""Write the run folder for people, off the event loop, from the journal."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ from polishd.pipeline.records import table
 from polishd.pipeline.run_folder import RunFolder
 
 MEASUREMENT = ("map.*", "surface.npz", "registration.json")
-"""What a measurement leaves in its cycle's folder."""
+"""Files of a measurement in its cycle's folder."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class RunFolderWriter:
-    """The run folder of a job. What people cannot be left does not end a job."""
+    """Writer of a job's run folder. A file that cannot be written does not end the job."""
 
     folder: RunFolder
     journal: Journal
 
     async def keep(self, write: Callable[..., None], *arguments: Any) -> None:
-        """Have something written, in a thread."""
+        """Call a function that writes, in a thread."""
         try:
             await asyncio.to_thread(write, *arguments)
         except (OSError, ConfigError) as error:
-            log.error("the run folder cannot be written: %s; the job goes on without", error)
+            log.error("the run folder cannot be written: %s; the job continues without it", error)
 
     async def leave(self, cycle: int, name: str, content: Any) -> None:
-        """A JSON file in the cycle's folder."""
+        """Write a JSON file to the cycle's folder."""
         await self.keep(self.folder.cycle(cycle).json, name, content)
 
     async def set_aside(self, cycle: int, number: int) -> None:
-        """Make room for another map of the same cycle; the journal has both."""
+        """Move the map's files aside for another map of the same cycle; the journal has both maps."""
         await self.keep(self.folder.cycle(cycle).set_aside, f"settling-{number:02d}", MEASUREMENT)
 
     async def executed(self, cycle: int) -> None:
-        """``executed.csv`` of that cycle's pass."""
+        """Write ``executed.csv`` of that cycle's pass."""
         await self.keep(self._executed, cycle)
 
     async def remake(self) -> None:
-        """Make anew what the report draws from, where somebody deleted it."""
+        """Write the files that the report reads again where they were deleted."""
         await self.keep(self._remake)
 
     def _executed(self, cycle: int) -> None:
-        """Of a pass that was interrupted also the blocks that it may have reached, with nothing but their numbers."""
+        """Write the executed blocks; of an interrupted pass also the numbers of those that it may have reached."""
         blocks = self.journal.executed(cycle)
         record = next(found for found in self.journal.passes if found.cycle == cycle)
         reached = np.arange(*(record.uncertain or (0, 0)))
@@ -85,6 +85,6 @@ class RunFolderWriter:
             if not folder.holds("plan.npz"):
                 folder.bytes("plan.npz", store.content(record.plan))
                 folder.json("certificate.json", record.facts["certificate"])
-            told_more = record is passes[-1] and record.how != "done"  # by the robot, after it was interrupted
-            if told_more or not folder.holds("executed.csv"):
+            may_have_more = record is passes[-1] and record.how != "done"  # the robot reported more blocks afterwards
+            if may_have_more or not folder.holds("executed.csv"):
                 self._executed(record.cycle)

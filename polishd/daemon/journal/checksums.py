@@ -1,9 +1,9 @@
-"""Checksums of the journal: of each row, of the number of commits, and of the frames that wait in the WAL.
+"""Checksums of the journal: of each row, of the number of commits, and of the frames in the WAL.
 
-SQLite notices a flipped bit only where it breaks the structure of a page. A value that is another one, and a frame of
-the WAL that no longer matches its checksum (SQLite drops it, and all commits after it), pass in silence. So each row
-carries a CRC-32 of its table and values, a row counts the commits, and a file beside the journal names the last commit
-that returned. The journal is checked before it is opened for writing; what is found is left as it is.
+SQLite detects a flipped bit only where it breaks the structure of a page. It does not report a changed value, nor a
+frame of the WAL with a wrong checksum (it drops this frame and all commits after it). So each row has a CRC-32 of its
+table and values, a row counts the commits, and a file beside the journal names the last commit that returned. The
+daemon checks the journal before it opens it for writing, and does not change a damaged one.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from typing import Any, NamedTuple, Self
 from urllib.parse import quote
 
 CHECK_S = 2.0
-"""Longest that rows and structure are checked at a start, s. The newest rows come first."""
+"""Time limit for the check of rows and structure at a start, s. The newest rows come first."""
 ROWS_PER_LOOK = 2_000
-"""Rows that are checked between two looks at the clock."""
+"""Rows between two reads of the clock."""
 OPCODES_PER_LOOK = 20_000
-"""Instructions of SQLite's machine between two looks at the clock."""
+"""SQLite instructions between two reads of the clock."""
 
 WAL_HEADER, FRAME_HEADER = struct.Struct(">8I"), struct.Struct(">6I")
 WAL_MAGIC, WAL_MAGIC_BIG_ENDIAN = 0x377F0682, 0x377F0683
@@ -40,9 +40,9 @@ KEYS: Mapping[str, str] = {
     "event": "id",
     "segment": "job, cycle, seq",
 }
-"""Key of each table, in the order of the check: the tables that grow most come last."""
+"""Key of each table, in the order of the check: the largest tables come last."""
 DISPENSABLE = ("event", "phase")
-"""Tables of whose rows no later pass depends on one: a damaged row may be deleted."""
+"""Tables on which no later pass depends: a damaged row may be deleted."""
 
 
 def row_crc(*values: Any) -> int:
@@ -54,37 +54,37 @@ def row_crc(*values: Any) -> int:
 
 
 def register_checksum(connection: sqlite3.Connection) -> None:
-    """Make ``row_crc`` known to a connection that writes rows. One that only reads does not need it."""
+    """Add the function ``row_crc`` to a connection that writes rows. A reading one does not need it."""
     connection.create_function("row_crc", -1, row_crc, deterministic=True)
 
 
 class CommitRecord:
     """File beside the journal that names its last commit. It is written after each commit and never synced.
 
-    So it never names a commit that is not durable, and after a power cut it may name an earlier one.
+    It never names a commit that is not durable. After a power failure it may name an earlier one.
     """
 
     NAME = "journal.commits"
 
     def __init__(self, path: Path) -> None:
-        """``path`` is the journal's."""
+        """``path`` is that of the journal."""
         self.path = path.with_name(self.NAME)
         self._file = -1
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open it for writing; OSError where the disk refuses that."""
+        """Open it for writing; OSError where that fails."""
         record = cls(path)
         record._file = os.open(record.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         return record
 
     def write(self, journal_id: str, count: int) -> None:
-        """Name the commit. An error is left to the journal's own next commit: it is on the same disk."""
+        """Write the commit. An error is ignored: the journal's next commit fails too, on the same disk."""
         with suppress(OSError):
             os.pwrite(self._file, self._line(journal_id, count), 0)
 
     def read(self) -> tuple[str, int] | None:
-        """Return the journal's id and the commit that it names; None where it is not there or not whole."""
+        """Return the journal's id and the named commit; None where the file is missing or incomplete."""
         try:
             content = self.path.read_bytes()
             journal_id, count, _ = content.decode("ascii").split()
@@ -106,12 +106,12 @@ class CommitRecord:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Damage that was found in a journal."""
+    """Damage of a journal."""
 
     what: str
     table: str = ""
     where: str = ""
-    """SQL that names the damaged row, where it is one."""
+    """SQL condition of the damaged row; empty for other damage."""
 
 
 class CheckResult(NamedTuple):
@@ -119,7 +119,7 @@ class CheckResult(NamedTuple):
 
     damage: Damage | None
     is_complete: bool
-    """All rows and pages were checked within the time."""
+    """All rows and pages were checked within the time limit."""
 
 
 class _Clock:
@@ -134,15 +134,15 @@ class _Clock:
 
 
 def check_journal(path: Path, schema: Mapping[int, Mapping[str, str]], within_s: float = CHECK_S) -> CheckResult:
-    """Check a journal without changing it. ``schema``: SQL of each table and index, of the formats with checksums.
+    """Check a journal without changing it. ``schema``: SQL of each table and index, by format with checksums.
 
-    An error of the disk is raised as sqlite3.Error or OSError. A file that is no database is not judged.
+    sqlite3.Error or OSError where the disk fails. A file that is no database is not checked.
     """
     if (damage := _wal_damage(path)) is not None:
         return CheckResult(damage, is_complete=False)
     clock = _Clock(within_s)
     wal = path.with_name(f"{path.name}-wal")
-    mode = "mode=ro" if wal.exists() and wal.stat().st_size else "immutable=1"  # which makes no file beside it
+    mode = "mode=ro" if wal.exists() and wal.stat().st_size else "immutable=1"  # creates no file beside it
     try:
         with closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True, timeout=5.0)) as journal:
             journal.text_factory = _text
@@ -151,7 +151,7 @@ def check_journal(path: Path, schema: Mapping[int, Mapping[str, str]], within_s:
         if _is_damage(error):
             return CheckResult(Damage(f"a page cannot be read: {error}"), is_complete=False)
         raise
-    except (ValueError, OverflowError, MemoryError) as error:  # a length or a name that is another one
+    except (ValueError, OverflowError, MemoryError) as error:  # a changed length or name
         return CheckResult(Damage(f"a page cannot be read: {error}"), is_complete=False)
 
 
@@ -163,7 +163,7 @@ def _check(
     has_checksums = any("row_crc" in str(sql) for sql in found.values())
     if version not in schemas:
         if version < min(schemas) and (has_checksums or (version == 0 and found)):
-            what = f"its header says format {version}, its tables are of format {max(schemas)}"
+            what = f"its header states format {version}, its tables have format {max(schemas)}"
             return CheckResult(Damage(what), is_complete=False)
         return CheckResult(_structure(journal, clock), is_complete=True)
     wrong = sorted(name for name, sql in {**schemas[version], **found}.items() if found.get(name) != sql
@@ -181,12 +181,12 @@ def _check(
 
 
 def _rows(journal: sqlite3.Connection, table: str, key: str, clock: _Clock) -> tuple[Damage | None, bool]:
-    """The first row that does not match its checksum, the newest first; whether all were checked."""
+    """Return the first row that does not match its checksum, the newest first; and whether all were checked."""
     names = [row[1] for row in journal.execute(f"PRAGMA table_info({table})")]
     keys = key.split(", ")
     order = ", ".join(f"{name} DESC" for name in keys)
-    sql = f"SELECT crc, {', '.join(names)} FROM {table} ORDER BY {order}"  # noqa: S608 - our own words
-    places = [names.index(name) for name in keys]
+    sql = f"SELECT crc, {', '.join(names)} FROM {table} ORDER BY {order}"  # noqa: S608 - constant names
+    columns = [names.index(name) for name in keys]
     cursor = journal.execute(sql)
     last: tuple[Any, ...] = ()
     while True:
@@ -202,7 +202,7 @@ def _rows(journal: sqlite3.Connection, table: str, key: str, clock: _Clock) -> t
         if not rows:
             return None, True
         for crc, *values in rows:
-            last = tuple(values[place] for place in places)
+            last = tuple(values[column] for column in columns)
             if crc != row_crc(table, *values):
                 where = _named(keys, last)
                 return Damage(f"the row {where} of {table} does not match its checksum", table, where), False
@@ -215,7 +215,7 @@ def _named(keys: list[str], values: tuple[Any, ...]) -> str:
 
 
 def _commits(journal: sqlite3.Connection, path: Path) -> Damage | None:
-    """Commits that had returned, and are gone."""
+    """Return the damage where commits that returned are missing."""
     record = CommitRecord(path)
     named = record.read()
     rows = journal.execute("SELECT journal, count FROM commits").fetchall()
@@ -223,12 +223,12 @@ def _commits(journal: sqlite3.Connection, path: Path) -> Damage | None:
         return None
     return Damage(
         f"the last {named[1] - rows[0][1]} commits are missing: it ends at commit {rows[0][1]}, {record.path} names "
-        f"commit {named[1]} (where you restored an older copy on purpose, delete {record.path.name})"
+        f"commit {named[1]} (if you restored an older copy on purpose, delete {record.path.name})"
     )
 
 
 def _structure(journal: sqlite3.Connection, clock: _Clock) -> Damage | None:
-    """The first fault of pages and indexes, as far as the time allows."""
+    """Return the first fault of pages and indexes within the time limit."""
     journal.set_progress_handler(clock.is_over, OPCODES_PER_LOOK)
     try:
         found = [str(row[0]) for row in journal.execute("PRAGMA integrity_check(1)")]
@@ -242,14 +242,14 @@ def _structure(journal: sqlite3.Connection, clock: _Clock) -> Damage | None:
 
 
 def _text(content: bytes) -> str:
-    """Any bytes: a row whose text is no UTF-8 any more fails its checksum, not the reading."""
+    """Decode any bytes: text that is not UTF-8 any more fails its checksum, not the decoding."""
     return content.decode("utf-8", "surrogateescape")
 
 
 def _is_damage(error: sqlite3.Error) -> bool:
     name = getattr(error, "sqlite_errorname", "")
     if name.startswith("SQLITE_ERROR"):
-        return True  # a name of the schema that is another one, say
+        return True  # such as a changed name of the schema
     return name.startswith(("SQLITE_CORRUPT", "SQLITE_FORMAT", "SQLITE_TOOBIG", "SQLITE_MISMATCH", "SQLITE_NOMEM"))
 
 
@@ -263,18 +263,19 @@ class _Frame(NamedTuple):
     commits: bool
     """The last one of a transaction."""
     is_current: bool
-    """It has the salts of the header: it was not left by an earlier round."""
+    """It has the salts of the header, so it is not from an earlier use of the file."""
     before: tuple[int, int]
-    """Checksum as the frame before it states it, or the header."""
+    """Checksum stated in the frame before it, or in the header."""
     stated: tuple[int, int]
     content: bytes
-    """What the checksum covers beside that."""
+    """Bytes that the checksum covers beside that."""
 
 
 def _wal_damage(path: Path) -> Damage | None:
-    """A frame that is damaged though a later transaction follows it: it had been synced.
+    """Return the damage of a frame that a later transaction follows, so that it had been synced.
 
-    One in the last transaction may be a write that a power cut tore off, and is left to the number of commits.
+    A damaged frame of the last transaction may be a write that a power failure interrupted: the number of commits
+    shows whether it had returned.
     """
     wal = path.with_name(path.name + "-wal")
     try:
@@ -316,7 +317,7 @@ def _frame_damage(frames: list[_Frame], order: str, name: str) -> Damage | None:
 
 
 def _checksum(content: bytes, start: tuple[int, int], order: str) -> tuple[int, int]:
-    """SQLite's own: two sums over pairs of 32-bit words."""
+    """Return SQLite's WAL checksum: two sums over pairs of 32-bit words."""
     one, two = start
     for first, second in struct.iter_unpack(f"{order}II", content):
         one = (one + first + two) & 0xFFFFFFFF

@@ -1,4 +1,4 @@
-"""The history of a cell over its parts: read from the journal's rows, beside a daemon that may be running."""
+"""History of a cell over its parts, from the journal's rows. A daemon may run at the same time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from polishd.model.errors import ConfigError, JournalDamage, ToolStop
 from polishd.model.tolerance import LineResult, line_results, worst_line
 
 FAULTS = ("cell_held", "daemon_failed", "finding_reported")
-"""Events that somebody had to see to."""
-TOLD = ToolStop.__name__
-"""An error whose cause is the event ``finding_reported``."""
+"""Events that needed an operator."""
+WITH_FINDING = ToolStop.__name__
+"""Error with the same cause as the event ``finding_reported``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,36 +31,36 @@ class HistoryMeasurement:
     rms_nm: float
     judged: tuple[LineResult, ...]
     rate: float | None
-    """Removal rate that the pass before it showed, relative to the model's own; None: it showed none."""
+    """Removal rate from the pass before it, relative to the model's; None: unknown."""
     rate_sigma: float | None
     predicted_nm: float | None
-    """RMS that the plan of that pass expected."""
+    """RMS predicted by the plan of that pass."""
     as_forecast: bool | None
-    """Whether that pass left what was expected of it with a chance of nine in ten; None: nothing was."""
+    """Whether the RMS after that pass is in the 90 % interval of its forecast; None: there is no forecast."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultEvent:
-    """An event that somebody had to see to."""
+    """An event that needed an operator."""
 
     at_s: float
     kind: str
-    """The error's class, or what was found."""
+    """Class of the error, or kind of the finding."""
     what: str
 
 
 @dataclass(frozen=True, slots=True)
 class JobHistory:
-    """One job, from its row and those that name it."""
+    """One job, from its row and the rows that name it."""
 
     job: str
     part_id: str
     began_s: float
     ended_s: float | None
     outcome: str
-    """Empty: it is under way, or was given up."""
+    """Empty: it is under way, or was abandoned."""
     passes: int
-    """That came to their end."""
+    """Number of complete passes."""
     interrupted: int
     contact_s: float
     measured: tuple[HistoryMeasurement, ...]
@@ -68,19 +68,19 @@ class JobHistory:
 
     @property
     def rate(self) -> float | None:
-        """The last that a pass showed."""
+        """Rate from the last pass that shows one."""
         return next((one.rate for one in reversed(self.measured) if one.rate is not None), None)
 
     @property
     def worst(self) -> LineResult | None:
-        """The line of the tolerance that the last measurement keeps worst."""
+        """Worst line of the tolerance in the last measurement."""
         return worst_line(self.measured[-1].judged) if self.measured else None
 
 
 def read_history(state_dir: Path) -> list[JobHistory]:
-    """All jobs of a cell in the order in which they began; ConfigError where there is no journal, or it cannot be read.
+    """Return all jobs of a cell in order; ConfigError where there is no journal, or it cannot be read.
 
-    The file is opened for reading only, and nothing waits for it: a daemon may be in contact meanwhile.
+    The file is opened read-only and blocks no writer: a daemon may be in contact.
     """
     with read_only(state_dir) as journal:
         return list(_jobs(journal))
@@ -89,10 +89,10 @@ def read_history(state_dir: Path) -> list[JobHistory]:
 def read_events(
     state_dir: Path, count: int, before: int | None = None, names: Sequence[str] = ()
 ) -> list[dict[str, Any]]:
-    """The last events of all jobs, the newest last: ``number, at_s, cycle, name, data``.
+    """Return the last events of all jobs, the newest last: ``number, at_s, cycle, name, data``.
 
-    ``before``: of those before that number; ``names``: of these kinds, else of all but each pass's progress. Empty
-    where there is no journal; ConfigError where it cannot be read.
+    ``before``: only events before that number. ``names``: only these kinds; without it all but ``pass_progressed``.
+    Empty where there is no journal; ConfigError where it cannot be read.
     """
     if not (state_dir / JOURNAL_NAME).exists():
         return []
@@ -106,32 +106,32 @@ def read_events(
 
 @contextmanager
 def read_only(state_dir: Path) -> Iterator[sqlite3.Connection]:
-    """A cell's journal as it is in this moment, beside a daemon that may write it; ConfigError as `read_history`.
+    """Open a snapshot of a cell's journal, which a daemon may write at the same time; ConfigError as `read_history`.
 
-    Rows are also parsed inside this block: what a damaged one raises becomes JournalDamage, which names the row.
+    Parse rows inside this block too: an error from a damaged row becomes JournalDamage, which names the row.
     """
     path = state_dir / JOURNAL_NAME
     if not path.exists():
-        raise ConfigError(f"{path}: is not there: no job was begun in this cell yet; polishd run CELL.toml begins one")
+        raise ConfigError(f"{path}: not found: this cell has begun no job yet. Run polishd run CELL.toml")
     with naming_damage(state_dir), closing(_opened(path)) as journal:
-        journal.execute("BEGIN")  # one moment for all that is read
+        journal.execute("BEGIN")  # one snapshot for all reads
         yield journal
 
 
 @contextmanager
 def naming_damage(state_dir: Path) -> Iterator[None]:
-    """Find the damaged row where reading a cell's journal fails inside this block, and name it: JournalDamage.
+    """Where reading a cell's journal fails inside this block, find the damaged row: JournalDamage names it.
 
-    ConfigError where SQLite or a parser fails and no damage is found. Any other error is raised as it is then.
+    ConfigError where SQLite or a parser fails and no damage is found. Other errors pass unchanged.
     """
     path = state_dir / JOURNAL_NAME
     try:
         yield
     except (sqlite3.Error, ValueError) as error:
         _require_sound(path, error)
-        raise ConfigError(f"{path}: the history cannot be read: {error}; polishd run brings an old journal up to date, "
-                          "or names what is wrong with it") from error  # fmt: skip
-    except (LookupError, TypeError, AttributeError) as error:  # JSON that was damaged, and is JSON still
+        raise ConfigError(f"{path}: the history cannot be read: {error}. Run polishd run: it updates an old journal, "
+                          "or names the damage") from error  # fmt: skip
+    except (LookupError, TypeError, AttributeError) as error:  # damaged JSON that is still valid JSON
         _require_sound(path, error)
         raise
 
@@ -144,12 +144,12 @@ def _require_sound(path: Path, error: Exception) -> None:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    """A connection that only reads. A journal of before release 1.0 shows its events by their names of today."""
+    """Return a read-only connection. Events of a journal from before release 1.0 have their present names."""
     connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
     try:
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if 0 < version < SCHEMA_VERSION:
-            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")  # noqa: S608 - our own names
+            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")  # noqa: S608 - constant names
     except BaseException:
         connection.close()
         raise
@@ -181,7 +181,7 @@ def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
 
 
 def _by_job(journal: sqlite3.Connection, sql: str, values: Sequence[Any] = ()) -> dict[int, list[Any]]:
-    """The other columns of the rows, by their first one."""
+    """Return the other columns of the rows, by their first one."""
     found: dict[int, list[Any]] = {}
     for job, *row in journal.execute(sql, values):
         found.setdefault(job, []).append(tuple(row))
@@ -198,17 +198,17 @@ def _measurement(at_s: float, stats: Mapping[str, Any], before: Mapping[str, Any
 
 def _as_forecast(shown: Mapping[str, Any]) -> bool | None:
     expected = shown.get("expected_nm")
-    seen_nm = shown.get("seen_nm")  # passes of before 2026-11-25 have none
+    seen_nm = shown.get("seen_nm")  # passes before 2026-11-25 have none
     return None if expected is None or seen_nm is None else bool(expected[0] <= seen_nm <= expected[1])
 
 
 def _faults(events: Iterable[tuple[float, str, str]]) -> Iterator[FaultEvent]:
-    """Each once: an error that held the cell, and ended its daemon as nobody mended it, is one."""
+    """Yield each fault once: an error that held the cell and then ended its daemon is one fault."""
     last = ("", "")
     for at_s, name, data in events:
-        said = json.loads(data)
-        fault = FaultEvent(at_s, said["kind"], said["what" if name == "finding_reported" else "error"])
+        values = json.loads(data)
+        fault = FaultEvent(at_s, values["kind"], values["what" if name == "finding_reported" else "error"])
         again = name == "daemon_failed" and last == (fault.kind, fault.what)
         last = (fault.kind, fault.what)
-        if fault.kind != TOLD and not again:
+        if fault.kind != WITH_FINDING and not again:
             yield fault

@@ -1,4 +1,4 @@
-"""The journal of a cell: durable intent, effect, durable outcome. What it says is what the daemon knows."""
+"""Journal of a cell: durable intent, effect, durable outcome. The daemon knows only what the journal records."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from polishd.model.events import Event
 from polishd.model.states import CyclePhase, Outcome
 from polishd.util.serialization import plain
 
-# What the journal knows of a job: from memory, but for what grows with the job and is read from its file.
+# Records of a job: from memory, but those that grow with the job are read from the file.
 
 NOTHING = BlockCounts()
 
@@ -45,93 +45,93 @@ _EXECUTED = (
 
 
 class JournalView:
-    """What is known of one job."""
+    """Records of one job."""
 
     def __init__(self, store: Store, job: int, known: JobMemory) -> None:
         self._store = store
         self._job = self.number = job
-        """Of its job's row; ``NO_JOB`` between jobs."""
+        """Number of the job's row; ``NO_JOB`` between jobs."""
         self._known = known
 
     @property
     def unsaved_s(self) -> float:
-        """For how long the oldest record that is not durable has waited for the disk, s."""
+        """Time that the oldest record that is not durable has waited for the disk, s."""
         return self._store.unsaved_s
 
     @property
     def begun(self) -> bool:
-        """Whether this job has measured anything: from then on it goes on with what it was begun with."""
+        """Whether this job has measured: from then on its terms are fixed."""
         return bool(self._known.maps or self._known.passes)
 
     @property
     def terms(self) -> Mapping[str, Any] | None:
-        """What this job was begun with; None where the polishd that began it did not write it down."""
+        """Values with which this job began; None where an early polishd did not record them."""
         return self._known.terms
 
     @property
     def run_dir(self) -> str:
-        """Its run folder; empty where none was made yet."""
+        """Its run folder; empty before there is one."""
         return self._known.run_dir
 
     def remaining(self, cycles: int) -> Iterator[int]:
-        """Cycles yet to do of so many: each starts with a measurement, so one after a begun pass is a new one."""
+        """Yield the remaining ones of so many cycles. The first one follows the last pass that has begun."""
         yield from range(max(self._known.passes, default=-1) + 1, cycles)
 
     @property
     def last_map_id(self) -> str | None:
-        """sha256 of the last map taken, by any job of this cell."""
+        """sha256 of the last map of any job of this cell."""
         return self._known.last_map_id
 
     @property
     def history(self) -> tuple[MapRecord, ...]:
-        """The maps of this job, the last one of each cycle."""
+        """Maps of this job, the last one of each cycle."""
         return tuple(self._known.maps.values())
 
     @property
     def passes(self) -> tuple[PassRecord, ...]:
-        """The passes begun by this job."""
+        """Passes of this job that have begun."""
         return tuple(self._known.passes.values())
 
     @property
     def phase_now(self) -> tuple[int | None, str | None]:
-        """The cycle and the phase that began last, in this run of the daemon or an earlier one."""
+        """Cycle and phase that began last, in this run of the daemon or an earlier one."""
         return self._known.phase or (None, None)
 
     def tally(self, cycle: int) -> BlockCounts:
-        """How much of that cycle's pass is recorded as executed."""
+        """Return the recorded blocks of that cycle's pass."""
         return self._known.tallies.get(cycle, NOTHING)
 
     @property
     def done(self) -> int:
-        """Blocks that are recorded as executed, of all passes of this job."""
+        """Number of recorded blocks of all passes of this job."""
         return sum(tally.done for tally in self._known.tallies.values())
 
     def contact_s(self, cycle: int) -> float:
-        """Process time of the blocks that are known to have been executed in contact in that cycle's pass."""
+        """Return the process time of the blocks of that cycle's pass that are known to be in contact."""
         return self.tally(cycle).contact_s
 
     def uncertain(self, cycle: int) -> tuple[tuple[int, int], ...]:
-        """Blocks of that cycle's pass of which nobody knows whether the tool touched: ranges, ends excluded."""
+        """Return the blocks of that cycle's pass with unknown contact: ranges, ends excluded."""
         record = self._known.passes.get(cycle)
         tail = () if record is None or record.uncertain is None else (record.uncertain,)
         return joined([*self._known.unknown.get(cycle, ()), *tail])
 
     def executed(self, cycle: int) -> JournalBlocks:
-        """What the robot executed in that cycle's pass; empty where there was none. Grows with it: call in a thread."""
+        """Return the executed blocks of that cycle's pass. It reads the file: call it in a thread."""
         found = self._store.read_columns(_EXECUTED, (self._job, cycle), 9)
         seq, start_s, end_s, touched, recovered, *rest = found
         return JournalBlocks(seq.astype(np.int64), start_s, end_s, touched, recovered.astype(bool), *rest)
 
     def phase_times_s(self) -> dict[str, float]:
-        """Seconds that each phase of this job took in all, by the clock on the wall, in the order of a cycle."""
+        """Return the total wall time of each phase of this job, in the order of a cycle."""
         sql = "SELECT phase, sum(ended - started) FROM phase WHERE job = ? AND ended IS NOT NULL GROUP BY phase"
         found = dict(self._store.read(sql, (self._job,)))
         return {phase.value: found[phase.value] for phase in CyclePhase if phase.value in found}
 
     def errors(self) -> list[tuple[float, str, Mapping[str, Any]]]:
-        """What held or ended this job's daemon, in time order: Unix time, event's name, its data.
+        """Return the errors that held or ended this job's daemon, in time order: Unix time, event's name, its data.
 
-        Between jobs those of this run: earlier ones are nobody's.
+        Between jobs, return only those of this run.
         """
         sql = (
             "SELECT at, name, data FROM event WHERE job = ? AND id > ? AND name IN ('cell_held', 'daemon_failed') "
@@ -141,7 +141,7 @@ class JournalView:
         return [(at, name, json.loads(data)) for at, name, data in found]
 
     def held_last(self) -> str:
-        """Why the cell was held, or its queue stopped, when its last daemon ended; empty where neither was so."""
+        """Return why the cell was held, or its queue stopped, when its last daemon ended; empty where neither was."""
         sql = (
             "SELECT data FROM event WHERE (name = 'state_changed' AND json_extract(data, '$.state') NOT IN "
             "('starting', 'finished')) OR (name = 'queue_job_ended' AND json_extract(data, '$.stops') != '') "
@@ -149,19 +149,19 @@ class JournalView:
         )
         for (text,) in self._store.read(sql):
             data = json.loads(text)
-            if "stops" in data:  # without a person it ends there, and is never held
+            if "stops" in data:  # without an operator the daemon ends here and does not hold
                 return f"the queue stopped: {data['stops']}; {data['job']} was {data['verdict']}: {data['reason']}"
             return str(data["reason"]) if data["state"] == "held" else ""
         return ""
 
     def unfinished(self) -> PassRecord | None:
-        """The pass that was begun and never ended, or None."""
+        """Return the pass that has begun and not ended, or None."""
         return next((record for record in self.passes if record.ended_s is None), None)
 
     def cut_off(self) -> int | None:
-        """The last pass or touch-off of this cell, where it did not come to its end: the robot stands there.
+        """Return the phase row of the last pass or touch-off where it was interrupted: the robot may stand in it.
 
-        None where it did; a wrong seat is an end, once the robot has left it. By its row among the phases.
+        None where it was complete. A wrong seat is complete when the robot has left the part.
         """
         sql = "SELECT id, outcome, error FROM phase WHERE phase IN (?, ?) ORDER BY id DESC LIMIT 1"
         for number, outcome, error in self._store.read(sql, (CyclePhase.RUN.value, CyclePhase.TOUCH_OFF.value)):
@@ -170,7 +170,7 @@ class JournalView:
         return None
 
     def passes_before(self, cycle: int, most: int) -> list[Mapping[str, Any]]:
-        """Facts of the last whole passes of any job of this cell before that cycle's, the latest first."""
+        """Return the facts of the last complete passes of any job of this cell before that cycle, the latest first."""
         sql = (
             "SELECT facts FROM pass WHERE how = 'done' AND (job < ? OR (job = ? AND cycle < ?)) "
             "ORDER BY job DESC, cycle DESC LIMIT ?"
@@ -182,7 +182,7 @@ log = logging.getLogger(__name__)
 
 JOURNAL_NAME, ARRAYS_NAME = "journal.sqlite", "store"
 NO_JOB = 0
-"""What happens between jobs is recorded under this number."""
+"""Job number of events between jobs."""
 
 _INTENT = (
     "INSERT INTO pass (job, cycle, program_sha256, boot_id, blocks, contact_from, contact_to, facts, started, plan, "
@@ -192,19 +192,19 @@ _SEGMENT = "INSERT OR IGNORE INTO segment VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 
 
 
 class Journal(JournalView, AbstractContextManager["Journal", None]):
-    """One job's view of the journal: what is known of it, and what is recorded.
+    """Records of one job, for reading and writing.
 
-    Any error of the disk raises SafetyStop, from then on from every method that goes to it: polishing stops.
+    An error of the disk raises SafetyStop, then and in each later method that uses the disk: polishing stops.
     """
 
     def __init__(self, store: Store, arrays: ArrayStore, job: int, known: JobMemory, *, resumed: bool) -> None:
         super().__init__(store, job, known)
         self.store = store
-        """Its file; the queue shares it."""
+        """Its file, shared with the queue."""
         self.arrays = arrays
         """Large arrays that its rows name."""
         self.resumed = resumed
-        """This job was begun by an earlier run of the daemon."""
+        """An earlier run of the daemon began this job."""
 
     @classmethod
     def open(
@@ -216,10 +216,10 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
         terms: Mapping[str, Any] = MappingProxyType({}),
         connect: Connect = connect,
     ) -> Self:
-        """Open the journal of a state folder, and go on with its unfinished job of that name, or begin a new one.
+        """Open the journal of a state folder, and continue its unfinished job of that name, or begin a new one.
 
-        ``terms`` is what the job is begun with (``same_job``): kept with a job of which nothing is measured yet.
-        A job of another name that was not finished is over then. ConfigError where the file cannot be used.
+        ``terms``: values with which the job begins (``resume_checks``), recorded before the first measurement. An
+        unfinished job of another name ends. ConfigError where the file cannot be used.
         """
         cell = cls.of_cell(state_dir, connect)
         try:
@@ -230,23 +230,23 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
 
     @classmethod
     def of_cell(cls, state_dir: Path, connect: Connect = connect) -> Self:
-        """The journal of a state folder between jobs: it has events of its own. ConfigError as of ``open``."""
+        """Open the journal of a state folder between jobs, with the events of that time. ConfigError as of ``open``."""
         store, arrays = Store.open(state_dir / JOURNAL_NAME, connect), ArrayStore(state_dir / ARRAYS_NAME)
         return cls(store, arrays, NO_JOB, empty_job_memory(store), resumed=False)
 
     def of_job(self, job: str, part_id: str, terms: Mapping[str, Any], *also: Row) -> Self:
-        """The same, with its unfinished job of that name, or a new one: ``also`` is written with the latter's row."""
+        """Return the journal with its unfinished job of that name, or a new one, whose row is written with ``also``."""
         number, resumed = _taken_up(self._store, self.arrays, job, part_id, also)
         journal = type(self)(self._store, self.arrays, number, read_job(self._store, number), resumed=resumed)
         if not journal.begun:
             journal._take(part_id, terms)
         return journal
 
-    # what is recorded; all but record_executed and record_event are durable when they return
+    # Writing. All but record_executed and record_event are durable when they return.
 
     @asynccontextmanager
     async def phase(self, cycle: int, phase: CyclePhase) -> AsyncIterator[None]:
-        """Record start, end and error of a phase; what was buffered in it is durable at its end."""
+        """Record start, end and error of a phase. Rows that were buffered in it are durable at its end."""
         sql, now = "INSERT INTO phase (job, cycle, phase, started) VALUES (?, ?, ?, ?)", time.time()
         self._store.write((sql, (self._job, cycle, phase.value, now)))
         ((number,),) = self._store.read("SELECT max(id) FROM phase")
@@ -258,17 +258,17 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
             try:
                 self._end_phase(number, outcome, f"{type(error).__name__}: {error}")
             except PolishdError as lost:
-                error.add_note(str(lost))  # what ended the phase is told first
+                error.add_note(str(lost))  # the error of the phase comes first
             raise
         self._end_phase(number, "done", None)
 
     def record_run_dir(self, path: Path) -> None:
-        """This job's run folder is there."""
+        """Record the run folder of this job."""
         self._store.write(("UPDATE job SET run_dir = ? WHERE id = ?", (str(path), self._job)))
         self._known.run_dir = str(path)
 
     def record_map(self, cycle: int, sha256: str, path: Path | str, stats: Mapping[str, Any], arrays: str = "") -> None:
-        """A map was taken for that cycle; ``arrays`` names what was made of it."""
+        """Record a map of that cycle; ``arrays`` names the arrays computed from it."""
         text, now = json.dumps(dict(stats), default=plain), time.time()
         sql = "INSERT INTO map (job, cycle, sha256, path, stats, taken, arrays) VALUES (?,?,?,?,?,?,?)"
         self._store.write((sql, (self._job, cycle, sha256, str(path), text, now, arrays)))
@@ -288,14 +288,14 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
         start: str = "",
         reach_s: float | None = None,
     ) -> None:
-        """The intent to run a program: durable before the robot is started. A cycle has one pass, ever.
+        """Record the intent to run a program, durable before the robot starts. A cycle has one pass only.
 
-        ``contact`` is the range of sequence numbers with the tool on the part (end excluded; default: all);
-        ``facts`` is kept for the summary; ``plan`` and ``start`` name arrays that a later cycle needs. ``reach_s``: the
-        longest that the tool can stay on the part after the last block that is recorded (``TimeLimits.unseen_s``).
+        ``contact``: range of sequence numbers with the tool on the part (end excluded; default: all). ``facts``: for
+        the summary. ``plan`` and ``start`` name arrays that a later cycle needs. ``reach_s``: longest time that the
+        tool can stay on the part after the last recorded block.
         """
         if cycle in self._known.passes:
-            raise PolishdError(f"journal: cycle {cycle} has had its pass; nothing is run twice")
+            raise PolishdError(f"journal: cycle {cycle} has a pass already; the daemon runs no pass twice")
         first, end = contact or (0, blocks)
         text, now = json.dumps(dict(facts or {}), default=plain), time.time()
         begun = (cycle, program_sha256, boot_id, blocks, first, end)
@@ -304,21 +304,21 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
         self._known.passes[cycle] = known
 
     def record_executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
-        """Blocks were executed (buffered: durable within 0.25 s). One that is recorded already changes nothing."""
+        """Record executed blocks (buffered: durable within 0.25 s). A recorded block is not changed."""
         for record in records:
             self._store.buffer(self._segment(cycle, record, recovered=False))
         self._known.add(cycle, records)
 
     def require_in_time(self) -> None:
-        """SafetyStop where what was executed has waited too long for its commit: contact is left over it."""
+        """SafetyStop where an executed block has waited too long for its commit: the tool leaves contact."""
         self._store.require_in_time()
 
     def flush(self) -> None:
-        """Make all that is buffered durable now."""
+        """Commit all buffered rows now."""
         self._store.write()
 
     def add_facts(self, cycle: int, facts: Mapping[str, Any]) -> None:
-        """What became known of that cycle's pass after it: stands beside what it was begun with."""
+        """Add facts to that cycle's pass after its end."""
         record = self._known.passes[cycle]
         whole = {**record.facts, **facts}
         text = json.dumps(whole, default=plain)
@@ -326,7 +326,7 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
         self._known.passes[cycle] = replace(record, facts=json.loads(text))
 
     def end_pass(self, cycle: int, how: str) -> None:
-        """The pass is over, and it is known how: ``done``, ``stopped: ...``, ``interrupted``."""
+        """Record the end of a pass: ``done``, ``stopped: ...`` or ``interrupted``."""
         now = time.time()
         sql = "UPDATE pass SET ended = ?, how = ? WHERE job = ? AND cycle = ? AND ended IS NULL"
         self._store.write((sql, (now, how, self._job, cycle)))
@@ -335,36 +335,36 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
             self._known.passes[cycle] = replace(record, ended_s=now, how=how)
 
     def reconcile(self, cycle: int, records: Iterable[BlockRecord]) -> None:
-        """Add blocks that the robot says it executed and the journal does not know."""
+        """Add executed blocks that the robot reports and the journal does not have."""
         self._store.write(*(self._segment(cycle, record, recovered=True) for record in records))
         self._known.tallies[cycle] = read_tally(self._store, self._job, cycle)
         self._known.unknown[cycle] = read_unreported_blocks(self._store, self._job, cycle)
 
     def mark_uncertain(self, cycle: int, first: int, end: int) -> None:
-        """After the last record the tool may have touched those blocks (end excluded), and no others."""
+        """Record the blocks after the last record that the tool may have touched (end excluded)."""
         sql = "UPDATE pass SET uncertain_from = ?, uncertain_to = ? WHERE job = ? AND cycle = ?"
         self._store.write((sql, (first, end, self._job, cycle)))
         self._known.passes[cycle] = replace(self._known.passes[cycle], uncertain=(first, end))
 
     def record_event(self, event: Event) -> None:
-        """Keep an event (buffered)."""
+        """Record an event (buffered)."""
         values = (self._job, time.time(), event.cycle, event.name, json.dumps(dict(event.data), default=plain))
         self._store.buffer(("INSERT INTO event (job, at, cycle, name, data) VALUES (?,?,?,?,?)", values))
 
     def record_outcome(self, outcome: Outcome) -> None:
-        """The job is over; the next Journal of this state folder begins a new one."""
+        """Record the end of the job; the next Journal of this state folder begins a new one."""
         self._store.write(over_row(self._job, outcome.value))
 
     def copy_to(self, path: Path) -> None:
-        """A copy of this job for the run folder."""
+        """Write a copy of this job for the run folder."""
         self._store.copy_to(path, self._job)
 
     async def lost(self) -> NoReturn:
-        """Raise SafetyStop as soon as the journal is lost; until then wait. For a watcher in contact."""
+        """Wait until the journal is lost, then raise SafetyStop. For a monitor in contact."""
         await self._store.lost()
 
     def close(self) -> None:
-        """Make all durable and close; idempotent."""
+        """Commit all rows and close; idempotent."""
         self._store.close()
 
     def __exit__(
@@ -389,12 +389,12 @@ class Journal(JournalView, AbstractContextManager["Journal", None]):
 
 
 def over_row(job: int, outcome: str, detail: str = "") -> Row:
-    """A job is over, and how: to be written together with what else ends then."""
+    """Return the row that ends a job, to write together with other ends."""
     return "UPDATE job SET ended = ?, outcome = ?, detail = ? WHERE id = ?", (time.time(), outcome, detail, job)
 
 
 def _taken_up(store: Store, arrays: ArrayStore, job: str, part_id: str, also: Sequence[Row]) -> tuple[int, bool]:
-    """The number of the unfinished job of that name, or of a new one; and whether it is the former."""
+    """Return the number of the unfinished job of that name, or of a new one; and whether it is the unfinished one."""
     rows = store.read("SELECT id, name FROM job WHERE outcome IS NULL ORDER BY id DESC LIMIT 1")
     if rows and rows[0][1] == job:
         return int(rows[0][0]), True
@@ -404,17 +404,17 @@ def _taken_up(store: Store, arrays: ArrayStore, job: str, part_id: str, also: Se
 
 
 def _begin(store: Store, job: str, part_id: str, also: Sequence[Row]) -> int:
-    """A new row; a job that was not finished is over then, and the log says so."""
+    """Add a row. An unfinished job ends, with a warning in the log."""
     for (name,) in store.read("SELECT name FROM job WHERE outcome IS NULL"):
-        log.warning("the job %r was not finished; %r takes its place", name, job)
+        log.warning("the unfinished job %r ends: the job %r replaces it", name, job)
     sql = "UPDATE job SET ended = ?, outcome = 'stopped', detail = ? WHERE outcome IS NULL"
     new = "INSERT INTO job (name, part_id, terms, started) VALUES (?, ?, 'null', ?)"
-    store.write((sql, (time.time(), f"{job} took its place")), (new, (job, part_id, time.time())), *also)
+    store.write((sql, (time.time(), f"{job} replaced it")), (new, (job, part_id, time.time())), *also)
     return int(store.read("SELECT max(id) FROM job")[0][0])
 
 
 def _drop_plans(store: Store, arrays: ArrayStore) -> None:
-    """What jobs that are over kept to go on with; their maps stay, for their history."""
+    """Remove the plans of jobs that are over. Their maps stay for the history."""
     over = "plan != '' AND job IN (SELECT id FROM job WHERE outcome IS NOT NULL)"
     for names in store.read(f"SELECT plan, start FROM pass WHERE {over}"):  # noqa: S608 - no value is in it
         arrays.remove(*names)

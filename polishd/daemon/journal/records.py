@@ -1,4 +1,4 @@
-"""What the journal gives back: maps, passes, and the blocks that were executed."""
+"""Records of the journal: maps, passes and executed blocks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.model.surface import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class MapRecord:
-    """A map that was taken: the last one of its cycle."""
+    """The last map of a cycle."""
 
     cycle: int
     sha256: str
@@ -26,12 +26,12 @@ class MapRecord:
     taken_s: float
     """Unix time."""
     arrays: str = ""
-    """Name in the array store of what was made of it."""
+    """Name in the array store of the arrays computed from it."""
 
 
 @dataclass(frozen=True, slots=True)
 class PassRecord:
-    """A pass: written before the robot starts, ended when it is known how."""
+    """A pass: written before the robot starts, completed when its end is known."""
 
     cycle: int
     program_sha256: str
@@ -44,67 +44,67 @@ class PassRecord:
     ended_s: float | None = None
     how: str | None = None
     plan: str = ""
-    """Names in the array store: the plan, and what the next solve can start from."""
+    """Names in the array store: of the plan, and of the start of the next solution."""
     start: str = ""
     reach_s: float | None = None
-    """Longest that the tool can stay on the part after the last block that is recorded, s; None: nobody said."""
+    """Longest time that the tool can stay on the part after the last recorded block, s; None: unknown."""
     uncertain: tuple[int, int] | None = None
-    """Blocks after the last record that it may have touched: sequence numbers, end excluded; None: not judged yet."""
+    """Blocks after the last record that the tool may have touched: sequence numbers, end excluded; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class BlockRecord:
-    """A block that was executed, and what is known of the tool meanwhile."""
+    """An executed block, with the state of the tool during it."""
 
     block: ExecutedBlock
     touched: bool | None
-    """The tool was on the part for all of it, or for none of it; None: nobody knows."""
+    """The tool was on the part for all of it, or for none of it; None: unknown."""
     force_n: float | None = None
-    """Mean force by the actuator's word; None: not known."""
+    """Mean force from the actuator; None: unknown."""
     rpm: float | None = None
     told_s: float | None = None
-    """When the robot told of it, on the monotonic clock of the daemon that ran the pass."""
+    """Time of the robot's report, on the monotonic clock of the daemon that ran the pass."""
     sensor_force_n: float | None = None
-    """Mean force by the independent sensor's word; None: not known, or the cell has none."""
+    """Mean force from the independent sensor; None: unknown, or the cell has none."""
 
 
 @dataclass(frozen=True, slots=True)
 class BlockCounts:
-    """How much of one pass is recorded as executed."""
+    """Recorded blocks of one pass."""
 
     done: int = 0
-    """Blocks."""
+    """Number of blocks."""
     last_seq: int = -1
-    """The last of them; -1 for none."""
+    """Sequence number of the last one; -1 for none."""
     contact_s: float = 0.0
-    """Process time of those in contact, as far as that is known."""
+    """Process time of those that are known to be in contact."""
 
 
 @dataclass(frozen=True, slots=True)
 class JournalBlocks:
-    """Blocks of one pass that were executed, by sequence number; (n,) each."""
+    """Executed blocks of one pass, by sequence number; (n,) each."""
 
     seq: IntArray
     start_s: FloatArray
     end_s: FloatArray
-    """Times are the robot's process clock."""
+    """Times are on the robot's process clock."""
     touched: FloatArray
-    """1: the tool was on the part, 0: off it, NaN: not known."""
+    """1: the tool was on the part, 0: off it, NaN: unknown."""
     recovered: BoolArray
-    """Recorded after an interruption, on the robot's word."""
+    """Recorded after an interruption, from the robot's report."""
     force_n: FloatArray
-    """Mean over the block by the actuator's word, as the daemon's samples had it; NaN where that is not known.
+    """Mean of the actuator's samples over the block; NaN where unknown.
 
-    So with ``rpm``, and with ``sensor_force_n``, which is the independent sensor's.
+    The same for ``rpm``, and for ``sensor_force_n`` of the independent sensor.
     """
     rpm: FloatArray
     told_s: FloatArray
-    """When the robot told of it, on the monotonic clock of the daemon that ran the pass; NaN where recovered."""
+    """Time of the robot's report, on the monotonic clock of the daemon that ran the pass; NaN where recovered."""
     sensor_force_n: FloatArray
 
     @property
     def acting_n(self) -> FloatArray:
-        """(n,) the force that acted, N: by the independent sensor where that told it, else by the actuator."""
+        """(n,) the acting force, N: from the independent sensor where known, else from the actuator."""
         return np.where(np.isnan(self.sensor_force_n), self.force_n, self.sensor_force_n)
 
     @property
@@ -124,7 +124,7 @@ class JournalBlocks:
 
 
 def joined(ranges: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Ranges of sequence numbers, ends excluded, in order; those that meet are one."""
+    """Return ranges of sequence numbers, ends excluded, in order; adjacent ranges are joined."""
     found: list[tuple[int, int]] = []
     for first, end in ranges:
         if found and first <= found[-1][1]:
@@ -134,55 +134,55 @@ def joined(ranges: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
     return tuple(found)
 
 
-# What the journal says of one job, in memory: asking it never waits for the disk, however long the job.
+# Rows of one job in memory, so that reading them never waits for the disk.
 
 
 @dataclass(slots=True)
 class JobMemory:
-    """Rows of one job as they were read, and from then on as they are written."""
+    """Rows of one job: read once, then updated with each write."""
 
     terms: Mapping[str, Any] | None
-    """What the job was begun with (``same_job``); None: by a polishd that did not write it down."""
+    """Values with which the job began (``resume_checks``); None: an early polishd did not record them."""
     run_dir: str
     last_map_id: str | None
     """Of any job."""
     maps: dict[int, MapRecord]
-    """The last one of each cycle."""
+    """Last map of each cycle."""
     passes: dict[int, PassRecord]
     phase: tuple[int, str] | None
-    """The cycle and the phase that began last."""
+    """Cycle and phase that began last."""
     tallies: dict[int, BlockCounts]
     unknown: dict[int, list[tuple[int, int]]]
-    """By cycle, executed blocks of which nobody knows whether the tool touched: ranges, ends excluded."""
+    """By cycle, executed blocks with unknown contact: ranges, ends excluded."""
     events_before: int = 0
-    """Number of the last event that is not its own, though it has the same job: between jobs, of earlier runs."""
+    """Number of the last event of earlier runs between jobs, which have the same job number."""
 
     def add(self, cycle: int, records: Sequence[BlockRecord]) -> None:
-        """Blocks were executed; those that were before change nothing."""
+        """Add executed blocks; blocks that are there already change nothing."""
         tally = self.tallies.get(cycle, BlockCounts())
         new = [record for record in records if record.block.seq > tally.last_seq]
         if new:
             contact_s = sum(record.block.end_s - record.block.start_s for record in new if record.touched)
             self.tallies[cycle] = BlockCounts(tally.done + len(new), new[-1].block.seq, tally.contact_s + contact_s)
-        for record in new:  # at the end of what is there, however much: this is the loop in contact
+        for record in new:  # appended at constant cost: the contact loop calls this
             if record.touched is None:
                 _append(self.unknown.setdefault(cycle, []), record.block.seq)
 
 
 def _append(ranges: list[tuple[int, int]], seq: int) -> None:
-    """One more, after all that are there."""
+    """Append one sequence number after all ranges."""
     first = ranges.pop()[0] if ranges and ranges[-1][1] == seq else seq
     ranges.append((first, seq + 1))
 
 
 def empty_job_memory(store: Store) -> JobMemory:
-    """Between jobs."""
+    """Return the memory between jobs."""
     ((before,),) = store.read("SELECT ifnull(max(id), 0) FROM event")
     return JobMemory(None, "", _last_map(store), {}, {}, None, {}, {}, before)
 
 
 def read_job(store: Store, job: int) -> JobMemory:
-    """All that is known of a job."""
+    """Return the rows of a job."""
     ((terms, run_dir),) = store.read("SELECT terms, run_dir FROM job WHERE id = ?", (job,))
     maps = "SELECT cycle, sha256, path, stats, taken, arrays FROM map WHERE job = ? ORDER BY id"
     passes = (
@@ -204,7 +204,7 @@ def read_job(store: Store, job: int) -> JobMemory:
 
 
 def read_tally(store: Store, job: int, cycle: int) -> BlockCounts:
-    """How much of that pass the file holds."""
+    """Return the recorded blocks of that pass in the file."""
     sql = (
         "SELECT count(*), ifnull(max(seq), -1), total((end_s - start_s) * touched) "
         "FROM segment WHERE job = ? AND cycle = ?"
@@ -214,7 +214,7 @@ def read_tally(store: Store, job: int, cycle: int) -> BlockCounts:
 
 
 def read_unreported_blocks(store: Store, job: int, cycle: int) -> list[tuple[int, int]]:
-    """Executed blocks of that pass of which the file does not say whether the tool touched."""
+    """Return the executed blocks of that pass with unknown contact in the file."""
     sql = "SELECT seq FROM segment WHERE job = ? AND cycle = ? AND touched IS NULL ORDER BY seq"
     seq = store.read_columns(sql, (job, cycle), 1)[0].astype(np.int64)
     starts = np.flatnonzero(np.diff(seq, prepend=-2) > 1)

@@ -1,8 +1,8 @@
-"""The journal's file: SQLite in WAL mode with full sync, one writer, and groups of rows committed by a thread.
+"""File of the journal: SQLite in WAL mode with full sync and one writer. A thread commits groups of rows.
 
-Measured (2,000 full-sync commits): median 0.2 ms, worst 5 ms on an SSD; 4 ms median on a slow disk. Single
-statements are therefore run where they are called, outside contact. What accrues in contact is buffered, and a
-thread of its own commits it, so that a slow disk never stalls the event loop while the tool presses.
+Measured (2,000 full-sync commits): median 0.2 ms, worst 5 ms on an SSD; 4 ms median on a slow disk. Outside contact,
+statements therefore run directly on the event loop. In contact, rows are buffered and a thread commits them, so that
+a slow disk never stalls the event loop.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from polishd.model.surface import FloatArray
 from polishd.pipeline.records import Arrays, npz
 from polishd.util.files import make_folder, sync_folder, write_atomic
 
-# The journal's tables, how a file of an earlier format becomes one of this, and whole copies of it.
+# Tables of the journal, conversion of earlier formats, and complete copies.
 
 log = logging.getLogger(__name__)
 
@@ -66,16 +66,16 @@ INDEXES: Mapping[str, str] = {
 }
 MADE_INDEXES = "".join(f"CREATE INDEX {name} ON {what};\n" for name, what in INDEXES.items())
 QUEUE = QUEUE_4 + MADE_INDEXES
-"""What came with format 3 for the queue. A journal knows many jobs: what one of them asks is found by an index."""
+"""Table of the queue and indexes, new in format 3. A journal has many jobs: an index finds the rows of one."""
 
 CLAIM = """
 ALTER TABLE queue ADD COLUMN claim TEXT NOT NULL DEFAULT '';
 """
-"""What came with format 5: by which claim a shop gave the part to this cell; empty: no shop did."""
+"""New in format 5: claim by which a shop gave the part to this cell; empty without a shop."""
 
 
 def _table(name: str, columns: str, key: str = "", options: str = "") -> str:
-    """SQL of a table whose rows carry a checksum, which SQLite computes whenever it writes one."""
+    """Return the SQL of a table with a checksum column, which SQLite computes at each write of a row."""
     names = ", ".join(column.split()[0] for column in columns.split(", "))
     crc = f"crc INTEGER NOT NULL GENERATED ALWAYS AS (row_crc('{name}', {names})) STORED"
     return f"CREATE TABLE {name} ({columns}, {crc}{f', {key}' if key else ''}){options};\n"
@@ -123,12 +123,12 @@ TABLES = (
     + _table("queue", QUEUED)
 )
 COMMITS = _table("commits", "id INTEGER PRIMARY KEY CHECK (id = 1), journal TEXT NOT NULL, count INTEGER NOT NULL")
-"""One row: which journal this is, and how many commits of the store it has seen."""
+"""One row: id of the journal, and number of its commits."""
 
 SCHEMA = TABLES + COMMITS + MADE_INDEXES
-"""``job.terms`` is JSON, see ``same_job``; ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store.
+"""``job.terms`` is JSON (``resume_checks``); ``map.arrays``, ``pass.plan`` and ``pass.start`` name files of the store.
 
-``segment.touched`` is NULL where nobody knows. ``crc`` is a checksum of the row (``journal_check``).
+``segment.touched`` is NULL where unknown. ``crc`` is the checksum of the row (``checksums``).
 """
 
 FROM_1 = """
@@ -152,7 +152,7 @@ INSERT INTO segment SELECT job, cycle, seq, start_s, end_s,
     CASE WHEN recovered AND in_contact THEN NULL ELSE in_contact END, recovered, NULL, NULL, NULL FROM segment_2;
 DROP TABLE segment_2;
 """
-"""Of a block that was recovered, contact had been told by its place in the program."""
+"""Format 2 derived the contact of a recovered block from its position in the program: it is unknown."""
 
 FROM_3 = """
 ALTER TABLE segment ADD COLUMN sensor_force_n REAL;
@@ -164,7 +164,7 @@ _CHILDREN: Mapping[str, str] = {
 
 
 def _with_checksums() -> str:
-    """Each table is made anew: SQLite adds no stored column to one that is there."""
+    """Return the SQL that creates each table again: SQLite cannot add a stored column to a table."""
     tables = {**_CHILDREN, "job": JOB}
     named = {table: ", ".join(column.split()[0] for column in columns.split(", ")) for table, columns in tables.items()}
     return "".join(
@@ -181,7 +181,7 @@ def _with_checksums() -> str:
 
 FROM_5 = _with_checksums()
 
-# Names of before release 1.0, and what they are since.
+# Names before release 1.0, and their present names.
 _EVENTS = {
     "rate_offered": "shop_rate_received", "job_begun": "job_started", "part_wanted": "part_requested",
     "job_ended": "queue_job_ended", "queue_ended": "queue_stopped", "opened": "cell_opened", "state": "state_changed",
@@ -194,12 +194,12 @@ _EVENTS = {
 }  # fmt: skip
 _CASES = " ".join(f"WHEN '{old}' THEN '{new}'" for old, new in _EVENTS.items())
 EVENTS_RENAMED = f"id, job, at, cycle, CASE name {_CASES} ELSE name END AS name, data"
-"""Columns of the table of events of a format before 7, with the names of this one."""
+"""Columns of the table of events of a format before 7, with the present names."""
 _EVENT_FIELDS = {"signal_wrong": ("leads_to", "action"), "touched_off": ("most_off_mm", "max_offset_mm")}
 
 
 def _with_new_names() -> str:
-    """SQL for the names of events and of their fields, keys of a job's terms, and how jobs of a queue ended."""
+    """Return the SQL that renames events, their fields, the keys of a job's terms, and results of jobs."""
     fields = "".join(
         f"UPDATE event SET data = json_remove(json_set(data, '$.{new}', json_extract(data, '$.{old}')), '$.{old}') "  # noqa: S608
         f"WHERE name = '{name}' AND json_type(data, '$.{old}') IS NOT NULL;\n"
@@ -214,7 +214,7 @@ def _with_new_names() -> str:
 
 
 def _renamed_terms(terms: str) -> str:
-    """The terms of a job, JSON, with the names of config keys of this release. A key has its table's new name first."""
+    """Return a job's terms, JSON, with the present names of config keys. The table's name is replaced first."""
     found = json.loads(terms)
     if not isinstance(found, dict):
         return terms
@@ -232,9 +232,9 @@ def _renamed_terms(terms: str) -> str:
 
 FROM_6 = _with_new_names()
 STEPS = {1: FROM_1, 2: FROM_2 + QUEUE, 3: FROM_3, 4: CLAIM, 5: FROM_5, 6: FROM_6}
-"""From each earlier format to the next."""
+"""SQL from each earlier format to the next."""
 JSON_COLUMNS = (("job", "terms"), ("map", "stats"), ("pass", "facts"), ("event", "data"))
-"""Of a format without checksums: a row whose JSON cannot be read is damaged."""
+"""Of formats without checksums: a row with invalid JSON is damaged."""
 
 OF_A_JOB = ("map", "phase", "pass", "segment", "event", "queue")
 """Tables whose rows name a job."""
@@ -243,30 +243,30 @@ Connect = Callable[[Path], sqlite3.Connection]
 
 
 def connect(path: Path) -> sqlite3.Connection:
-    """A connection as the store wants it: transactions begin when told, and several threads take turns."""
+    """Return a connection for the store: explicit transactions, and use by several threads in turn."""
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0)
     register_checksum(connection)
     return connection
 
 
 def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
-    """The journal's file with the tables of this format, made or brought up to date; ConfigError where it cannot be.
+    """Open the journal's file. Create it, or convert it from an earlier format; ConfigError where that fails.
 
-    Of a file of an earlier format a copy stays beside it (``old_copy``). JournalDamage where it is damaged: it is left
-    as it is.
+    A copy of the file of an earlier format stays beside it (``old_copy``). JournalDamage where the file is damaged: it
+    does not change.
     """
     require_sound(path)
     try:
         connection = connect(path)
         register_checksum(connection)
     except sqlite3.Error as error:
-        raise ConfigError(f"{path}: the journal cannot be opened: {error}; look at cell.state_dir") from error
+        raise ConfigError(f"{path}: the journal cannot be opened: {error}. Check cell.state_dir") from error
     try:
         _prepare(connection, path)
     except (sqlite3.Error, OSError) as error:
         connection.close()
         kind = JournalDamage if _is_broken(error) else ConfigError
-        raise kind(f"{path}: the journal cannot be used: {error}; {_advice(error)}") from error
+        raise kind(f"{path}: the journal cannot be used: {error}. {_advice(error)}") from error
     except ConfigError:
         connection.close()
         raise
@@ -275,7 +275,7 @@ def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:
 
 @cache
 def _definitions() -> dict[str, str]:
-    """SQL of each table and index of this format, as SQLite keeps it."""
+    """Return the SQL of each table and index of this format, as SQLite stores it."""
     with contextlib.closing(sqlite3.connect(":memory:")) as empty:
         register_checksum(empty)
         empty.executescript(SCHEMA)
@@ -283,60 +283,60 @@ def _definitions() -> dict[str, str]:
 
 
 def require_sound(path: Path) -> None:
-    """JournalDamage where rows, pages or commits of the file are damaged. It is only read.
+    """JournalDamage where rows, pages or commits of the file are damaged. The file is only read.
 
-    An error of the disk is left to whoever opens the file for writing.
+    An error of the disk is only logged: opening the file for writing reports it.
     """
     if not path.exists() or path.with_name(f"{path.name}-journal").exists():
-        return  # not there, or not quite made yet: it is rolled back when it is opened
+        return  # not found, or incomplete: it is rolled back when it is opened
     try:
         damage, is_complete = check_journal(path, dict.fromkeys((6, SCHEMA_VERSION), _definitions()))  # the same tables
     except (sqlite3.Error, OSError) as error:
-        log.info("%s: the journal cannot be checked before it is opened: %s", path, error)
+        log.info("%s: the journal cannot be checked before it opens: %s", path, error)
         return
     if damage is not None:
         raise JournalDamage(f"{path}: the journal is damaged: {damage.what}. {_remedy(path, damage)}")
     if not is_complete:
-        log.info("%s: only the newest rows were checked: the whole takes longer than %g s", path, CHECK_S)
+        log.info("%s: only the newest rows were checked: a complete check takes longer than %g s", path, CHECK_S)
 
 
 def _remedy(path: Path, damage: Damage) -> str:
     drop = ""
     if damage.where and damage.table in DISPENSABLE:
-        sql = f"DELETE FROM {damage.table} WHERE {damage.where}"  # noqa: S608 - a command that is shown
+        sql = f"DELETE FROM {damage.table} WHERE {damage.where}"  # noqa: S608 - text for the operator
         drop = f', delete that row (no pass depends on it: sqlite3 {shlex.quote(str(path))} "{sql}")'
     return (
-        f"To do: check the disk and the memory of this computer, then restore {path.parent} from a backup{drop}, or "
-        f"move {path.name}, {path.name}-wal and {CommitRecord.NAME} aside to begin with an empty journal"
+        f"Check the disk and the memory of this computer, then restore {path.parent} from a backup{drop}, or move "
+        f"{path.name}, {path.name}-wal and {CommitRecord.NAME} to another folder to begin an empty journal"
     )
 
 
 def _is_broken(error: sqlite3.Error | OSError) -> bool:
-    """The file is no database, or not a sound one."""
+    """Return whether the file is not a valid database."""
     return getattr(error, "sqlite_errorname", "").startswith(("SQLITE_NOTADB", "SQLITE_CORRUPT"))
 
 
 def _advice(error: sqlite3.Error | OSError) -> str:
-    """A file that is no journal may go; one that the disk refuses must stay, with the job in it."""
+    """Return what to do. A file that is no journal may be moved; one on a faulty disk holds the job and must stay."""
     if _is_broken(error):
-        return "move the file aside to start a new one"
-    return "leave the file where it is, and mend the disk, or its rights"
+        return "Move the file to another folder to begin a new journal"
+    return "Leave the file in place, and repair the disk or its permissions"
 
 
 def old_copy(path: Path, version: int) -> Path:
-    """Where a journal of an earlier format is kept as it was."""
+    """Return the path of the copy of a journal of an earlier format."""
     return path.with_suffix(f".v{version}.sqlite")
 
 
 def copy_whole(connection: sqlite3.Connection, path: Path) -> None:
-    """A whole, durable copy, as of now, which stands alone."""
+    """Write a complete, durable copy in a single file."""
     with _partial(path) as partial, contextlib.closing(sqlite3.connect(partial)) as copy:
         connection.backup(copy)
         copy.execute("PRAGMA journal_mode=DELETE")
 
 
 def copy_job(connection: sqlite3.Connection, path: Path, job: int) -> None:
-    """A durable journal of that job alone, as of now: however many there are, it is as large as the job."""
+    """Write a durable journal with the rows of that job only."""
     with _partial(path) as partial:
         with contextlib.closing(sqlite3.connect(partial)) as copy:
             register_checksum(copy)
@@ -353,7 +353,7 @@ def copy_job(connection: sqlite3.Connection, path: Path, job: int) -> None:
 
 @contextlib.contextmanager
 def _partial(path: Path) -> Iterator[Path]:
-    """A file to write, which becomes ``path`` at the end, durable."""
+    """Yield the path of a file to write. At the end it becomes ``path``, durable."""
     partial = path.with_name(f".{path.name}.partial")
     with contextlib.suppress(FileNotFoundError):
         partial.unlink()
@@ -371,8 +371,8 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if version not in {0, *STEPS, SCHEMA_VERSION}:
         raise ConfigError(
-            f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}; "
-            "use the polishd that wrote it, or move the file aside to start a new one"
+            f"{path}: the journal has format {version}, this polishd writes format {SCHEMA_VERSION}. Use the polishd "
+            "that wrote it, or move the file to another folder to begin a new journal"
         )
     if version in STEPS:
         _require_json(connection, path)
@@ -387,32 +387,32 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _require_json(connection: sqlite3.Connection, path: Path) -> None:
-    """JournalDamage where a row of a format without checksums holds JSON that cannot be read."""
+    """JournalDamage where a row of a format without checksums holds invalid JSON."""
     there = {name for (name,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
     for table, column in JSON_COLUMNS:
         columns = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")] if table in there else []
         if column not in columns:
             continue
-        sql = f"SELECT rowid FROM {table} WHERE NOT json_valid({column}) LIMIT 1"  # noqa: S608 - our own words
+        sql = f"SELECT rowid FROM {table} WHERE NOT json_valid({column}) LIMIT 1"  # noqa: S608 - constant names
         for (row,) in connection.execute(sql):
-            damage = Damage(f"{column} of the row rowid = {row} of {table} is no JSON", table, f"rowid = {row}")
+            damage = Damage(f"{column} of the row rowid = {row} of {table} is not JSON", table, f"rowid = {row}")
             raise JournalDamage(f"{path}: the journal is damaged: {damage.what}. {_remedy(path, damage)}")
 
 
 COMMIT_S = 0.25
-"""Longest that a buffered row waits for its commit."""
+"""Longest time that a buffered row waits for its commit."""
 COMMIT_ROWS = 512
 LATE_S = 2.0
-"""A row that has waited longer for its commit ends contact: so much may be executed and not recorded, at any time."""
+"""A row that waits longer for its commit ends contact. So much execution may be unrecorded at any time."""
 
 Row = tuple[str, tuple[Any, ...]]
-"""One SQL statement and its values."""
+"""An SQL statement and its values."""
 
 
 class Store:
-    """The connection, the buffer and the thread that commits it. Any error of SQLite is the end of it.
+    """Connection, buffer, and the thread that commits it. After any error of SQLite the store refuses all use.
 
-    After an I/O error SQLite would go on with the next insert, as if nothing were lost; this does not.
+    After an I/O error SQLite would accept the next insert although rows are lost.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -427,29 +427,29 @@ class Store:
         self._failure: str | None = None
         self._todo = ""
         self._oldest_s = (math.inf, math.inf)
-        """Since when rows wait for their commit: those of the transaction that is under way, and the others."""
+        """Time since which rows wait for their commit: rows of the running transaction, and other rows."""
         self._waiters: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = []
         self._thread = threading.Thread(target=self._commit_groups, name="journal", daemon=True)
 
     @classmethod
     def open(cls, path: Path, connect: Connect = connect) -> Self:
-        """The store on its file, ready; ConfigError where the file cannot be used."""
+        """Open the store on its file; ConfigError where the file cannot be used."""
         store = cls(path, open_file(path, connect))
         try:
             store._begin_record()
         except (sqlite3.Error, OSError) as error:
             store._connection.close()
-            raise ConfigError(f"{path}: the journal cannot be used: {error}; mend the disk, or its rights") from error
+            raise ConfigError(f"{path}: the journal cannot be used: {error}. {_advice(error)}") from error
         store._thread.start()
         return store
 
     @property
     def unsaved_s(self) -> float:
-        """For how long the oldest row that is not durable has waited for the disk; 0 where there is none."""
+        """Time that the oldest row that is not durable has waited for the disk, s; 0 where there is none."""
         return 0.0 if self._closing or self._failure is not None else max(time.monotonic() - min(self._oldest_s), 0.0)
 
     def write(self, *rows: Row) -> None:
-        """Commit what is buffered and these rows in one transaction; durable when it returns."""
+        """Commit buffered rows and these rows in one transaction; durable when it returns."""
         with self._sound():
             with self._pending:
                 rows = (*self._buffer, *rows)
@@ -464,12 +464,12 @@ class Store:
         self._check()
         if (waited_s := self.unsaved_s) > LATE_S:
             raise SafetyStop(
-                f"journal: {self.path}: a commit has taken {waited_s:.1f} s, and no more than {LATE_S:g} s may go "
-                "unrecorded; look at the disk, and at what else writes to it"
+                f"journal: {self.path}: a commit takes {waited_s:.1f} s, the limit is {LATE_S:g} s. Check the disk "
+                "and other programs that write to it"
             )
 
     def buffer(self, row: Row) -> None:
-        """Leave a row to the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
+        """Buffer a row for the thread; durable within ``COMMIT_S`` seconds, or after ``write``."""
         self._check()
         with self._pending:
             self._buffer.append(row)
@@ -478,16 +478,16 @@ class Store:
                 self._pending.notify()
 
     def read(self, sql: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """All rows of a query, buffered ones included."""
+        """Return all rows of a query, buffered ones included."""
         self.write()
         with self._sound():
             return self._connection.execute(sql, values).fetchall()
 
     def read_columns(self, sql: str, values: Sequence[Any], width: int) -> list[FloatArray]:
-        """A query's rows as numbers, its columns one by one, (n,) each, buffered ones included.
+        """Return the columns of a query as numbers, (n,) each, buffered rows included.
 
-        Read piece by piece: whoever calls this in a thread leaves the event loop its turns, and no row of a long pass
-        is an object for longer than its piece.
+        It reads in groups of rows, so that a call in a thread does not block the event loop, and only one group at a
+        time is in memory as objects.
         """
         columns = [array("d") for _ in range(width)]
         self.write()
@@ -499,17 +499,17 @@ class Store:
         return [np.frombuffer(column, dtype=np.float64) for column in columns]
 
     def copy_to(self, path: Path, job: int) -> None:
-        """A durable copy of that job, as of now."""
+        """Write a durable copy of that job."""
         self.write()
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with self._use:
                 copy_job(self._connection, path, job)
         except (sqlite3.Error, OSError) as error:
-            raise SafetyStop(f"journal: {path}: the copy failed: {error}") from error
+            raise SafetyStop(f"journal: {path}: the copy failed: {error}. {_advice(error)}") from error
 
     async def lost(self) -> NoReturn:
-        """Wait for as long as the journal is sound; SafetyStop when it is lost."""
+        """Wait until the journal is lost, then raise SafetyStop."""
         waiter = (asyncio.get_running_loop(), asyncio.Event())
         with self._pending:
             self._waiters.append(waiter)
@@ -522,7 +522,7 @@ class Store:
                 self._waiters.remove(waiter)
 
     def close(self) -> None:
-        """Commit what is buffered and close; idempotent. Raises SafetyStop where that is lost."""
+        """Commit buffered rows and close; idempotent. SafetyStop where the commit fails."""
         with self._pending:
             if self._closing:
                 return
@@ -538,7 +538,7 @@ class Store:
 
     @contextmanager
     def _sound(self) -> Iterator[None]:
-        """Use the connection, alone; SafetyStop where it is lost already, or is lost by that."""
+        """Lock the connection for use; SafetyStop where the journal is lost, also by this use."""
         with self._use:
             self._check()
             try:
@@ -578,7 +578,7 @@ class Store:
                     self._pending.wait_for(lambda: self._closing or len(self._buffer) >= COMMIT_ROWS, COMMIT_S)
                 self.write()
         except SafetyStop:
-            return  # kept in _failure: whoever uses the journal next, or waits in lost(), hears of it
+            return  # _failure holds it: the next use of the journal, and lost(), raise it
         except MemoryError as error:
             self._fail(error)
 
@@ -586,32 +586,32 @@ class Store:
         with self._pending:
             if isinstance(error, MemoryError):
                 RESERVE.release()
-                self._failure, self._todo = "the daemon has run out of memory", "give it more memory"
+                self._failure, self._todo = "the daemon has run out of memory", "Increase its memory limit"
             else:
                 name = f" ({error.sqlite_errorname})" if hasattr(error, "sqlite_errorname") else ""
-                self._failure, self._todo = f"{error}{name}", "mend the disk"
+                self._failure, self._todo = f"{error}{name}", "Repair the disk"
             for loop, event in self._waiters:
                 loop.call_soon_threadsafe(event.set)
 
     def _check(self) -> None:
         if self._failure is not None:
             raise SafetyStop(
-                f"journal lost: {self.path}: {self._failure}; polishing without a record is refused: "
+                f"journal lost: {self.path}: {self._failure}; the daemon does not polish without a record. "
                 f"{self._todo}, then start polishd again"
             )
 
 
-# Large arrays beside the journal, by the hash of their content: the journal's rows name them by it.
+# Large arrays beside the journal. The journal's rows name each by the hash of its content.
 
 
 class ArrayStore:
-    """Files ``<sha256>.npz`` in one folder, each written whole and never changed."""
+    """Files ``<sha256>.npz`` in one folder, each written at once and never changed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def put(self, arrays: Arrays | bytes) -> str:
-        """Keep arrays, or their ``.npz``; its hash, once it is durable. SafetyStop where the disk will not have it."""
+        """Store arrays, or their ``.npz``; return the hash when durable. SafetyStop where the disk fails."""
         content = arrays if isinstance(arrays, bytes) else npz(arrays)
         sha256 = hashlib.sha256(content).hexdigest()
         try:
@@ -619,29 +619,29 @@ class ArrayStore:
             write_atomic(self._path(sha256), content, mode=0o600)
         except OSError as error:
             raise SafetyStop(
-                f"journal: {self._path(sha256)}: cannot be written: {error.strerror}; polishing without a record is "
-                "refused: mend the disk, then start polishd again"
+                f"journal: {self._path(sha256)}: cannot be written: {error.strerror}; the daemon does not polish "
+                "without a record. Repair the disk, then start polishd again"
             ) from error
         return sha256
 
     def content(self, sha256: str) -> bytes:
-        """The file that has this hash; ConfigError where it is gone, or is not what the journal names."""
+        """Return the content with this hash; ConfigError where the file is missing or its hash is another."""
         path = self._path(sha256)
         try:
             content = path.read_bytes()
         except OSError as error:
             raise ConfigError(_lost(path, f"cannot be read: {error.strerror}")) from error
         if hashlib.sha256(content).hexdigest() != sha256:
-            raise ConfigError(_lost(path, "is not what the journal names: its content has another hash"))
+            raise ConfigError(_lost(path, "the content has another hash than the journal states"))
         return content
 
     def get(self, sha256: str) -> dict[str, NDArray[Any]]:
-        """The arrays that ``put`` gave this hash."""
+        """Return the arrays with this hash."""
         with np.load(io.BytesIO(self.content(sha256)), allow_pickle=False) as archive:
             return dict(archive)
 
     def remove(self, *names: str) -> None:
-        """Remove what nobody will ask for again; what is not there is no error."""
+        """Remove arrays that are not needed any more; a missing one is no error."""
         for name in filter(None, names):
             self._path(name).unlink(missing_ok=True)
 
@@ -650,4 +650,4 @@ class ArrayStore:
 
 
 def _lost(path: Path, problem: str) -> str:
-    return f"{path}: {problem}; the job cannot go on without it: restore the file, or give job.id a new name"
+    return f"{path}: {problem}; the job cannot continue without it. Restore the file, or set a new job.id"

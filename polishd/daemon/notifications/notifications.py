@@ -1,4 +1,4 @@
-"""Somebody hears of it: events that concern a person become notifications, and each notifier's courier takes them."""
+"""Turn events that need an operator into notifications, and queue them for each notifier."""
 
 from __future__ import annotations
 
@@ -22,60 +22,60 @@ from polishd.model.states import OperatorNotice, Severity
 log = logging.getLogger(__name__)
 
 END_S = 10.0
-"""Longest that the daemon's end waits until the last notifications are sent; what is not is kept for the next start."""
+"""Longest time that the daemon's end waits for the last notifications. Those not sent wait for the next start."""
 SEND_TO_THE_END_S = 8.0
-"""Of that, for sending."""
-SAID = {"job": "job", "part": "part_id", "run_dir": "run_dir"}
-"""What is told of the job under way, and how events call it."""
+"""Part of that time for sending."""
+EVENT_FIELDS = {"job": "job", "part": "part_id", "run_dir": "run_dir"}
+"""Fields of a notification about the job, with their names in events."""
 
 
 class Notifications:
-    """Tells whomever a cell's config names; ``hear`` is a listener of the event bus."""
+    """Notifications of a cell to its configured notifiers. ``on_event`` is a listener of the event bus."""
 
     def __init__(self, config: CellConfig, known: Mapping[str, str]) -> None:
         self._config = config
         self._known = dict(known)
-        """Of the job under way: ``job``, ``part`` and ``run_dir``. Events that say one of them say it anew."""
-        self._couriers: tuple[NotificationSender, ...] = ()
+        """``job``, ``part`` and ``run_dir`` of the current job, updated by events that have them."""
+        self._senders: tuple[NotificationSender, ...] = ()
 
-    def start(self, notifiers: Sequence[Notifier], tell: Callable[[Event], None]) -> None:
-        """Begin to send, what an earlier run left first; ``tell`` is called by other threads when that fails."""
+    def start(self, notifiers: Sequence[Notifier], publish: Callable[[Event], None]) -> None:
+        """Start the senders, with the notifications of an earlier run first. They call ``publish`` on a failure."""
 
         def failed(event: NotificationFailed) -> None:
-            self._hand(event)  # and not by way of the bus, which may be closed already
-            tell(event)
+            self._queue(event)  # not over the bus, which may be closed already
+            publish(event)
 
-        self._couriers = tuple(NotificationSender(notifier, self._config.state_dir, failed) for notifier in notifiers)
-        for courier in self._couriers:
-            courier.start()
+        self._senders = tuple(NotificationSender(notifier, self._config.state_dir, failed) for notifier in notifiers)
+        for sender in self._senders:
+            sender.start()
         ours = {outbox_path(self._config.state_dir, notifier.name) for notifier in notifiers}
         for path in sorted(set(outbox_path(self._config.state_dir, "").parent.glob("*.json")) - ours):
             if left := len(read_outbox(path, 0.0)[0].waiting):
-                log.warning("%s: %d wait in it for a notifier that the config does not name any more", path, left)
+                log.warning("%s: %d notifications wait for a notifier that is not in the config any more", path, left)
 
-    def hear(self, event: Event) -> None:
-        """Hand it to the couriers where it concerns a person."""
-        if self._couriers and not isinstance(event, NotificationFailed):
-            self._hand(event)
+    def on_event(self, event: Event) -> None:
+        """Queue the event for the senders where it needs an operator."""
+        if self._senders and not isinstance(event, NotificationFailed):
+            self._queue(event)
 
-    def _hand(self, event: Event) -> None:
+    def _queue(self, event: Event) -> None:
         data = event.data
-        self._known |= {key: data[said] for key, said in SAID.items() if said in data}
+        self._known |= {key: data[name] for key, name in EVENT_FIELDS.items() if name in data}
         concern = event.concern()
         if concern is None:
             return
         notification = _notification(event.name, event.cycle, concern, self._config, self._known)
-        for courier in self._couriers:
-            if not (isinstance(event, NotificationFailed) and event.notifier == courier.notifier.name):
-                courier.take(notification)
+        for sender in self._senders:
+            if not (isinstance(event, NotificationFailed) and event.notifier == sender.notifier.name):
+                sender.take(notification)
 
     async def close(self) -> None:
-        """Send what waits, or keep it: within ``END_S`` seconds. Nothing may be heard after it."""
+        """Send the waiting notifications, or store them, within ``END_S`` seconds. No event may follow."""
         began_s = time.monotonic()
-        for courier in self._couriers:
-            courier.end(began_s + SEND_TO_THE_END_S)
-        for courier in self._couriers:
-            await asyncio.to_thread(courier.join, began_s + END_S - time.monotonic())
+        for sender in self._senders:
+            sender.end(began_s + SEND_TO_THE_END_S)
+        for sender in self._senders:
+            await asyncio.to_thread(sender.join, began_s + END_S - time.monotonic())
 
 
 @asynccontextmanager
@@ -86,37 +86,40 @@ async def notifying(
     listeners: Sequence[Sink],
     sinks: Sequence[Sink],
 ) -> AsyncIterator[EventBus]:
-    """An event bus of these listeners and sinks, and of people; at its end all have heard everything, within limits."""
-    people = Notifications(config, known)
-    bus = EventBus(*listeners, people.hear, sinks=tuple(sinks))
-    people.start(notifiers, _publishing(bus))
+    """Yield an event bus with these listeners and sinks, and the notifications. All events are delivered at its end."""
+    notifications = Notifications(config, known)
+    bus = EventBus(*listeners, notifications.on_event, sinks=tuple(sinks))
+    notifications.start(notifiers, _publish_from_threads(bus))
     try:
         yield bus
     finally:
         await bus.close()
-        await people.close()
+        await notifications.close()
 
 
-def _publishing(bus: EventBus) -> Sink:
-    """For threads that have something to tell."""
+def _publish_from_threads(bus: EventBus) -> Sink:
+    """Return a function that other threads call to publish an event."""
     loop = asyncio.get_running_loop()
 
     def publish(event: Event) -> None:
-        with suppress(PolishdError):  # a lost journal: that is what ends the daemon
+        with suppress(PolishdError):  # a lost journal ends the daemon anyway
             bus.publish(event)
 
-    def tell(event: Event) -> None:
+    def call(event: Event) -> None:
         try:
             loop.call_soon_threadsafe(publish, event)
-        except RuntimeError:  # who tells was left behind, and the loop is closed
-            log.warning("nobody hears any more of: %s", event.facts())
+        except RuntimeError:  # the thread outlived the event loop
+            log.warning("the event bus is closed; not published: %s", event.facts())
 
-    return tell
+    return call
 
 
 def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str, Any]]:
-    """Send a test through each notifier, side by side; how it went: ``notifier``, ``type``, ``error``, ``waiting``."""
-    concern = OperatorNotice(Severity.INFO, "this is a test: somebody called polishd notify", "as it was", "nothing")
+    """Send a test through each notifier in parallel.
+
+    Return for each ``notifier``, ``type``, ``severity``, ``error`` and ``waiting``.
+    """
+    concern = OperatorNotice(Severity.INFO, "this is a test by polishd notify", "unchanged", "nothing")
     known = {"job": config.job.id, "part": config.part.id, "run_dir": ""}
     test = _notification("test", None, concern, config, known)
     attempts = [Attempt(notifier, test, lambda _: None) for notifier in notifiers]
@@ -137,7 +140,7 @@ def try_out(config: CellConfig, notifiers: Sequence[Notifier]) -> list[dict[str,
 def _notification(
     event: str, cycle: int | None, concern: OperatorNotice, config: CellConfig, known: Mapping[str, Any]
 ) -> Notification:
-    """A concern in the words of a person who is not there; ``known`` has ``job``, ``part`` and ``run_dir``."""
+    """Return the notification of a notice; ``known`` has ``job``, ``part`` and ``run_dir``."""
     return Notification(
         id=uuid4().hex,
         event=event,

@@ -1,4 +1,4 @@
-"""Sends what one notifier has to send, in threads of its own: only the daemon's end waits for it, and not for long."""
+"""Sender of one notifier's notifications, in threads. Only the daemon's end waits for it, within a time limit."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from polishd.model.notification import Notification
 from polishd.model.states import Severity
 from polishd.util.files import write_atomic
 
-# What waits to be sent by one notifier, what is only counted, and when it is tried again.
+# Queue of one notifier: waiting notifications, counted repetitions, and pauses after a failure.
 
 FIRST_PAUSE_S = 10.0
 LONGEST_PAUSE_S = 900.0
-"""After each failure the pause is twice as long, up to this."""
+"""The pause doubles after each failure, up to this."""
 KEPT_S = 7 * 86400.0
-"""What could not be sent for so long is given up."""
+"""A notification that could not be sent for so long is discarded."""
 MOST_WAITING = 100
 MOST_THINGS = 12
-"""More things than this within ``remind_after_s`` are one thing, by severity."""
+"""Where there are more different things within ``remind_after_s``, they count as one by severity."""
 
 
 @dataclass(slots=True)
-class _Told:
-    """A thing that was told, and how often it happened again since."""
+class _Recent:
+    """A recent notification, and the count of its repetitions since."""
 
     began_s: float
     again: Notification | None = None
@@ -42,81 +42,81 @@ class _Told:
 
 @dataclass(slots=True)
 class NotificationQueue:
-    """All that one notifier has to do."""
+    """Notifications of one notifier."""
 
     remind_after_s: float
-    """What happens again within that time is counted."""
+    """A repetition within this time is counted, not sent."""
     waiting: list[Notification] = field(default_factory=list)
-    _told: dict[str, _Told] = field(default_factory=dict)
+    _recent: dict[str, _Recent] = field(default_factory=dict)
     _failures: int = 0
-    """In a row."""
+    """Number of failures in a row."""
     _failed_s: float = 0.0
     _tries: Counter[str] = field(default_factory=Counter)
 
     @classmethod
     def of(cls, facts: Mapping[str, Any], remind_after_s: float) -> Self:
-        """As ``facts`` was kept; KeyError, TypeError or ValueError where it is something else."""
-        told = {
-            thing: _Told(float(one["began_s"]), _notification(one["again"]) if one["again"] else None)
-            for thing, one in facts["told"].items()
+        """Load stored ``facts``; KeyError, TypeError or ValueError where they are invalid."""
+        recent = {
+            thing: _Recent(float(one["began_s"]), _notification(one["again"]) if one["again"] else None)
+            for thing, one in facts.get("recent", {}).items()
         }
-        return cls(remind_after_s, [_notification(one) for one in facts["waiting"]], told)
+        return cls(remind_after_s, [_notification(one) for one in facts["waiting"]], recent)
 
     def facts(self) -> dict[str, Any]:
-        """What a later run needs, JSON-ready."""
-        told = {
+        """Return the state for a later run, JSON-ready."""
+        recent = {
             thing: {"began_s": one.began_s, "again": asdict(one.again) if one.again else None}
-            for thing, one in self._told.items()
+            for thing, one in self._recent.items()
         }
-        return {"waiting": [asdict(one) for one in self.waiting], "told": told}
+        return {"waiting": [asdict(one) for one in self.waiting], "recent": recent}
 
     def add(self, notification: Notification, now_s: float) -> None:
-        """It waits to be sent; what was told a while ago is counted."""
+        """Queue a notification; count it where the same one is recent."""
         self.release(now_s)
         thing = notification.thing
-        if thing not in self._told and len(self._told) >= MOST_THINGS:
+        if thing not in self._recent and len(self._recent) >= MOST_THINGS:
             thing = f"{notification.severity} others"
-        if (told := self._told.get(thing)) is not None:
-            told.again = notification.again(told.again)
+        if (recent := self._recent.get(thing)) is not None:
+            recent.again = notification.again(recent.again)
             return
         self.waiting.append(notification)
         if self.remind_after_s > 0:
-            self._told[thing] = _Told(now_s)
+            self._recent[thing] = _Recent(now_s)
 
     def release(self, now_s: float) -> None:
-        """What was counted long enough waits to be sent."""
-        for thing, told in list(self._told.items()):
-            if _left_s(told.began_s, self.remind_after_s, now_s):
+        """Queue the counted repetitions whose ``remind_after_s`` is over."""
+        for thing, recent in list(self._recent.items()):
+            if _left_s(recent.began_s, self.remind_after_s, now_s):
                 continue
-            if told.again is None:
-                del self._told[thing]
+            if recent.again is None:
+                del self._recent[thing]
             else:
-                self.waiting.append(told.again)
-                self._told[thing] = _Told(now_s)
+                self.waiting.append(recent.again)
+                self._recent[thing] = _Recent(now_s)
 
     def due(self, now_s: float) -> Notification | None:
-        """What to send now: what was tried least, of those the most severe, and the oldest."""
+        """Return the next notification: the one with fewest attempts, then the most severe, then the oldest."""
         if not self.waiting or _left_s(self._failed_s, self._pause_s(), now_s):
             return None
         return min(self.waiting, key=lambda one: (self._tries[one.id], -one.severity.rank, one.at))
 
     def sent(self, notification: Notification) -> None:
-        """It needs nothing more."""
+        """Remove a sent notification."""
         self._drop(notification)
         self._failures = 0
 
     def failed(self, notification: Notification, now_s: float) -> None:
-        """It is tried again, after a pause and after the others; unless it was given up meanwhile."""
+        """Try a notification again, after a pause and after the others, unless it is discarded meanwhile."""
         self._tries[notification.id] += 1
         self._failures += 1
         self._failed_s = now_s
 
     def hurry(self) -> None:
-        """No pause: this is the end."""
+        """End the pause: the daemon ends."""
         self._failures = 0
 
     def give_up(self, now_s: float) -> list[Notification]:
-        """What is too old, or too many of the least severe and oldest; it waits no longer."""
+        """Discard and return notifications that are too old, or too many (the least severe and oldest first)."""
         old = [one for one in self.waiting if now_s - _at_s(one) > KEPT_S]
         left = sorted((one for one in self.waiting if one not in old), key=lambda one: (one.severity.rank, one.at))
         lost = old + left[: max(len(left) - MOST_WAITING, 0)]
@@ -125,11 +125,11 @@ class NotificationQueue:
         return lost
 
     def idle_s(self, now_s: float) -> float:
-        """How long there is nothing to do; a minute at most, since clocks jump."""
+        """Return the time until there is something to do; at most a minute, because clocks may be set."""
         until = [60.0]
         if self.waiting:
             until.append(_left_s(self._failed_s, self._pause_s(), now_s))
-        until += [_left_s(told.began_s, self.remind_after_s, now_s) for told in self._told.values()]
+        until += [_left_s(recent.began_s, self.remind_after_s, now_s) for recent in self._recent.values()]
         return min(until)
 
     def _pause_s(self) -> float:
@@ -141,7 +141,7 @@ class NotificationQueue:
 
 
 def _left_s(began_s: float, span_s: float, now_s: float) -> float:
-    """What is left of a span; nothing where the clock says that it has not begun."""
+    """Return the rest of a time span; 0 where the clock was set back before its begin."""
     return began_s + span_s - now_s if 0 <= now_s - began_s < span_s else 0.0
 
 
@@ -156,13 +156,13 @@ def _notification(facts: Mapping[str, Any]) -> Notification:
 log = logging.getLogger(__name__)
 
 SEND_S = 60.0
-"""Whoever takes longer to send is taken for hung; nothing else is sent through it until it comes back."""
-HUNG = f"it has not come back for {SEND_S:g} s"
+"""Time limit of a notifier's call. Until an overdue call returns, nothing else is sent through the notifier."""
+HUNG = f"no return within {SEND_S:g} s"
 
 
 @dataclass(frozen=True, slots=True)
 class Notifier:
-    """A way to reach a person, as the config wants it."""
+    """A configured way to notify people."""
 
     name: str
     type: str
@@ -172,14 +172,14 @@ class Notifier:
 
 
 class Attempt:
-    """One call of a plugin, which may raise anything, or never come back."""
+    """One call of a plugin, which may raise any exception, or never return."""
 
     def __init__(self, notifier: Notifier, notification: Notification, done: Callable[[Attempt], None]) -> None:
         self.notification = notification
         self.error = ""
         """Why it was not sent; empty where it was."""
         self.overdue = False
-        """It was told to have failed already."""
+        """It exceeded the time limit and was reported as failed."""
         self.began_s = time.monotonic()
         self._send = notifier.send
         self._done = done
@@ -189,75 +189,75 @@ class Attempt:
         self._thread.start()
 
     def left_s(self) -> float:
-        """Until it is taken for hung."""
+        """Return the time until it is overdue."""
         return max(self.began_s + SEND_S - time.monotonic(), 0.0)
 
     def wait(self) -> str:
-        """Until it comes back, or is taken for hung: why it was not sent."""
+        """Wait until it returns or is overdue; return why it was not sent."""
         self._thread.join(self.left_s())
         return HUNG if self._thread.is_alive() else self.error
 
     def _run(self) -> None:
         try:
             self._send(self.notification)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - it is told, as an event
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - reported as an event
             self.error = " ".join(f"{type(error).__name__}: {error}".split())
         self._done(self)
 
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """The daemon ends: what waits is tried once more until then, of the monotonic clock."""
+    """The daemon ends: waiting notifications have one more attempt until this time of the monotonic clock."""
 
     until_s: float
 
 
 class NotificationSender:
-    """Takes notifications, sends them or keeps them in ``state_dir/notify/NAME.json``.
+    """Sends notifications, or stores them in ``state_dir/notify/NAME.json``.
 
-    ``tell`` is called, in the courier's thread, when nothing can be sent any more, and when some is given up.
+    ``report`` is called in the sender's thread when sending begins to fail, and when notifications are discarded.
     """
 
-    def __init__(self, notifier: Notifier, state_dir: Path, tell: Callable[[NotificationFailed], None]) -> None:
+    def __init__(self, notifier: Notifier, state_dir: Path, report: Callable[[NotificationFailed], None]) -> None:
         self.notifier = notifier
         self._path = outbox_path(state_dir, notifier.name)
-        self._tell = tell
+        self._report = report
         self._inbox: queue.SimpleQueue[Notification | Attempt | _End] = queue.SimpleQueue()
         self._outbox = NotificationQueue(notifier.remind_after_s)
         self._attempt: Attempt | None = None
         self._failing = False
         self._end: _End | None = None
         self._last_failed = False
-        """The last chance is used."""
+        """The last attempt failed."""
         self._kept = b""
         self._thread = threading.Thread(
-            target=copy_context().run, args=(self._work,), name=f"courier {notifier.name}", daemon=True
+            target=copy_context().run, args=(self._work,), name=f"sender {notifier.name}", daemon=True
         )
 
     def start(self) -> None:
-        """Begin with what an earlier run left."""
+        """Start, with the notifications of an earlier run."""
         self._thread.start()
 
     def take(self, notification: Notification) -> None:
-        """Send it, in time."""
+        """Queue a notification where it is severe enough."""
         if notification.severity.rank >= self.notifier.least.rank:
             self._inbox.put(notification)
 
     def end(self, until_s: float) -> None:
-        """Try once more what waits, until then (``time.monotonic``); the rest is kept for the next start."""
+        """Try the waiting ones once more until then (``time.monotonic``); store the rest for the next start."""
         self._inbox.put(_End(until_s))
 
     def join(self, within_s: float) -> None:
         """Wait for its end."""
         self._thread.join(max(within_s, 0.0))
         if self._thread.is_alive():
-            log.error("the courier of %r is left behind: its disk is slow", self.notifier.name)
+            log.error("the sender of %r has not ended in time: its disk is slow", self.notifier.name)
 
     def _work(self) -> None:
         try:
             self._until_over()
         except Exception:
-            log.exception("the courier of %r is gone: nobody is told by it until the next start", self.notifier.name)
+            log.exception("the sender of %r failed and sends nothing until the next start", self.notifier.name)
 
     def _until_over(self) -> None:
         self._outbox, self._kept = read_outbox(self._path, self.notifier.remind_after_s)
@@ -272,23 +272,23 @@ class NotificationSender:
             except queue.Empty:
                 self._notice_overdue()
                 continue
-            self._heed(item)
+            self._process(item)
         self._keep()
         if left := len(self._outbox.waiting):
-            log.error("%r: what waits for the next start: %d, in %s", self.notifier.name, left, self._path)
+            log.error("%r: %d notifications wait for the next start in %s", self.notifier.name, left, self._path)
 
-    def _heed(self, item: Notification | Attempt | _End) -> None:
+    def _process(self, item: Notification | Attempt | _End) -> None:
         match item:
             case Notification():
                 self._outbox.add(item, time.time())
             case Attempt():
-                self._settle(item)
+                self._complete(item)
             case _End():
                 self._end = item
                 self._outbox.hurry()
 
     def _over(self) -> bool:
-        """At the end each notifier has one more chance, and no second one."""
+        """At the end each notifier has one more attempt."""
         if self._end is None:
             return False
         busy = self._attempt is not None and not self._attempt.overdue
@@ -306,12 +306,12 @@ class NotificationSender:
         if self._attempt is None and (due := self._outbox.due(now_s)) is not None:
             self._attempt = Attempt(self.notifier, due, self._inbox.put)
 
-    def _settle(self, attempt: Attempt) -> None:
+    def _complete(self, attempt: Attempt) -> None:
         self._attempt = None
         if not attempt.error:
             self._outbox.sent(attempt.notification)
             self._failing = self._failing and bool(self._outbox.waiting)
-            log.info("%r was told: %s", self.notifier.name, attempt.notification.title)
+            log.info("sent to %r: %s", self.notifier.name, attempt.notification.title)
         else:
             self._failed(attempt.notification, attempt.error)
 
@@ -327,18 +327,18 @@ class NotificationSender:
         log.warning("%r failed: %s", self.notifier.name, error)
         if not self._failing:
             self._failing = True
-            self._say(error)
+            self._publish(error)
 
     def _give_up(self, now_s: float) -> None:
         lost = self._outbox.give_up(now_s)
         for notification in lost:
-            log.error("%r was never told: %s", self.notifier.name, notification.text)
+            log.error("not sent to %r: %s", self.notifier.name, notification.text)
         if lost:
-            self._say("what waits is too old, or too much", len(lost))
+            self._publish("waiting notifications are too old or too many", len(lost))
 
-    def _say(self, error: str, given_up: int = 0) -> None:
+    def _publish(self, error: str, given_up: int = 0) -> None:
         name, waiting = self.notifier.name, len(self._outbox.waiting)
-        self._tell(NotificationFailed(notifier=name, error=error, waiting=waiting, given_up=given_up))
+        self._report(NotificationFailed(notifier=name, error=error, waiting=waiting, given_up=given_up))
 
     def _keep(self) -> None:
         content = json.dumps(self._outbox.facts(), indent=1).encode()
@@ -349,21 +349,21 @@ class NotificationSender:
             write_atomic(self._path, content)
             self._kept = content
         except OSError as error:
-            log.error("%s cannot be written: %s; a killed daemon would forget what waits", self._path, error)
+            log.error("%s cannot be written: %s; a kill of the daemon loses the waiting ones", self._path, error)
 
 
 def outbox_path(state_dir: Path, name: str) -> Path:
-    """The file of what a notifier has to send."""
+    """Return the file of a notifier's waiting notifications."""
     return state_dir / "notify" / f"{name}.json"
 
 
 def read_outbox(path: Path, remind_after_s: float) -> tuple[NotificationQueue, bytes]:
-    """What an earlier run left, and the file's content; an empty one where there is none, or none that can be read."""
+    """Return the queue of an earlier run, and the file's content; an empty one where no file can be read."""
     try:
         content = path.read_bytes()
         return NotificationQueue.of(json.loads(content), remind_after_s), content
     except FileNotFoundError:
         return NotificationQueue(remind_after_s), b""
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        log.error("%s cannot be read, and what waited in it is not sent: %s", path, error)
+        log.error("%s cannot be read; its notifications are not sent: %s", path, error)
         return NotificationQueue(remind_after_s), b""

@@ -1,1 +1,1 @@
-"""What all of the daemon runs on: process, log, events, exit record, compute worker."""
+"""Runtime of the daemon: process, log, events, exit record, compute worker."""

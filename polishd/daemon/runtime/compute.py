@@ -1,7 +1,7 @@
-"""Numerical work in one worker process, which is killed at its limit, so that the event loop never waits for it.
+"""Numerical work in one worker process with a time limit, so that it never blocks the event loop.
 
 Both ends of a call are in this file: ``Compute`` in the daemon, ``start_worker`` in the worker. Calls and results are
-pickles, as both ends are this program.
+pickles, because both ends are this program.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Compute:
         self._backstop = backstop
         self._installed = installed_at_start()
         self._turn = asyncio.Lock()
-        # Not asyncio's threads: files on a share that does not answer may keep all of them.
+        # Not asyncio's threads: files on a share that does not answer may block all of them.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="compute")
         self._worker: WorkerProcess | None = None
         self._ready = False
@@ -91,7 +91,7 @@ class Compute:
                 kind, value = await self._in_thread(worker, partial(_exchange, worker, call, limit))
             except WorkerError as error:
                 if not self._closed:
-                    self._worker = self._new_worker()  # the next call need not wait for its start
+                    self._worker = self._new_worker()  # so that the next call does not wait for its start
                 raise ComputeError(f"{name}: {error}") from error
         if kind == "error":
             raise value

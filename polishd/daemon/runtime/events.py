@@ -1,4 +1,4 @@
-"""The event bus: what happens is told to the log, to subscribers, and to the plugins, who cannot hold it up."""
+"""Event bus: publish each event to the log, to subscribers and to plugins, none of which can block it."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ log = logging.getLogger(__name__)
 Sink = Callable[[Event], None]
 
 SUBSCRIBER_EVENTS = 1000
-"""A subscriber that is this far behind is dropped."""
+"""A subscriber with so many waiting events is dropped."""
 DRAIN_S = 120.0
-"""Longest that ``close`` waits for the plugins: a report with pictures takes a while."""
+"""Longest time that ``close`` waits for the plugins: a report with pictures takes a while."""
 
 
 class EventBus:
-    """Where events are published; ``publish`` returns at once. Use it on the event loop's thread.
+    """Publishes events; ``publish`` returns at once. Use it on the event loop's thread.
 
-    ``listeners`` (``hooks.on_event``, a person's terminal) hear of events in a thread of their own each, one after
-    another, in order; ``sinks`` (such as ``journal.record_event``) are called on the spot.
+    Each of the ``listeners`` (``hooks.on_event``, a terminal) gets the events in order in its thread. ``sinks`` (such
+    as ``journal.record_event``) are called directly.
     """
 
     def __init__(self, *listeners: Sink, sinks: tuple[Sink, ...] = ()) -> None:
@@ -46,23 +46,23 @@ class EventBus:
         self._listeners = [_Listener(listener) for listener in listeners]
 
     def publish(self, event: Event) -> None:
-        """Tell everybody. Only a sink's own error (a lost journal) is raised, after all have been told."""
+        """Publish an event. Only the error of a sink (a lost journal) is raised, after all others have the event."""
         log.info("%s", event.name, extra={"event": event.facts()})
         for subscriber in tuple(self._subscribers):
             if subscriber.qsize() >= SUBSCRIBER_EVENTS:
-                log.warning("a subscriber is %d events behind and was dropped", SUBSCRIBER_EVENTS)
+                log.warning("a subscriber was dropped: %d events wait for it", SUBSCRIBER_EVENTS)
                 self._end(subscriber)
             else:
                 subscriber.put_nowait(event)
         if not self._closed:
             for listener in self._listeners:
-                listener.told.put(event)
+                listener.events.put(event)
         for sink in self._sinks:
             sink(event)
 
     @contextmanager
     def subscription(self) -> Iterator[AsyncIterator[Event]]:
-        """Events from now on; the iterator ends when the bus closes, or when its reader falls far behind."""
+        """Yield an iterator of later events. It ends when the bus closes, or when its reader is too slow."""
         waiting: asyncio.Queue[Event | None] = asyncio.Queue()
         if self._closed:
             waiting.put_nowait(None)
@@ -74,13 +74,13 @@ class EventBus:
             self._subscribers.discard(waiting)
 
     async def close(self, within_s: float = DRAIN_S) -> None:
-        """End the subscriptions and wait until the listeners have heard everything; idempotent."""
+        """End the subscriptions and wait until the listeners have processed all events; idempotent."""
         for subscriber in tuple(self._subscribers):
             self._end(subscriber)
         if not self._closed:
             self._closed = True
             for listener in self._listeners:
-                listener.told.put(None)
+                listener.events.put(None)
         async with asyncio.TaskGroup() as group:
             for listener in self._listeners:
                 group.create_task(asyncio.to_thread(listener.end, within_s), name="listener ends")
@@ -93,26 +93,26 @@ class EventBus:
 
 
 class _Listener:
-    """Whoever may take its time over an event, and the thread in which it does."""
+    """A function that may be slow, with its thread and its waiting events."""
 
-    def __init__(self, hear: Sink) -> None:
-        self.told: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
-        self._hear = hear
+    def __init__(self, function: Sink) -> None:
+        self.events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
+        self._function = function
         self._thread = threading.Thread(target=copy_context().run, args=(self._listen,), name="listener", daemon=True)
         self._thread.start()
 
     def end(self, within_s: float) -> None:
-        """Wait until all is heard."""
+        """Wait until all events are processed."""
         self._thread.join(within_s)
         if self._thread.is_alive():
-            log.error("a plugin is still busy with an event after %g s; it is left behind", within_s)
+            log.error("a plugin still processes an event after %g s; the daemon does not wait for it", within_s)
 
     def _listen(self) -> None:
-        while (event := self.told.get()) is not None:
+        while (event := self.events.get()) is not None:
             try:
-                self._hear(event)
+                self._function(event)
             except Exception:
-                log.exception("telling the plugins of %s failed", event.name)
+                log.exception("a plugin failed at the event %s", event.name)
 
 
 async def _until_none(waiting: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
@@ -120,30 +120,30 @@ async def _until_none(waiting: asyncio.Queue[Event | None]) -> AsyncIterator[Eve
         yield event
 
 
-# What a person must know who finds a cell held, or its daemon gone.
+# Records for the operator of a cell that is held, or whose daemon has ended.
 
 
 def safety_of(state: str, reason: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> StateChanged:
-    """As an event; see ``stands``."""
+    """Return ``safety_sentence`` as an event."""
     return StateChanged(state=state, reason=reason, standing=safety_sentence(state, unsafe, queue=queue))
 
 
 def killed_safety(names: Iterable[str]) -> tuple[str, ...]:
-    """What is known of those devices should the daemon be killed while it polishes."""
-    return tuple(f"{name}: no daemon lived to ask it" for name in names)
+    """Return the unsafe devices for the record of a daemon that is killed while it polishes."""
+    return tuple(f"{name}: state unknown, because the daemon was killed" for name in names)
 
 
 def causes(journal: Journal, failure: Exception | None) -> tuple[EndCause, ...]:
-    """All of this job, in time order, those of earlier runs of the daemon too; only ``failure`` of a lost journal."""
+    """Return all causes of this job in time order, also of earlier runs; of a lost journal only ``failure``."""
     found: list[EndCause] = []
     try:
-        told = journal.errors()
-    except PolishdError:  # its loss is, or follows, the failure
+        errors = journal.errors()
+    except PolishdError:  # the loss of the journal is, or follows, the failure
         return (EndCause(utc_now(), type(failure).__name__, str(failure), ended=True),) if failure else ()
-    for at_s, name, data in told:
+    for at_s, name, data in errors:
         cause = EndCause(_iso(at_s), str(data["kind"]), str(data["error"]), ended=name == "daemon_failed")
         if cause.ended and found and replace(found[-1], ended=True, at=cause.at) == cause:
-            found[-1] = replace(found[-1], ended=True)  # held over it, and then stopped: one cause
+            found[-1] = replace(found[-1], ended=True)  # held, then stopped, for one cause
         else:
             found.append(cause)
     return tuple(found)
@@ -152,7 +152,7 @@ def causes(journal: Journal, failure: Exception | None) -> tuple[EndCause, ...]:
 def recording_exit(
     state_dir: Path, run_dir: Callable[[], Path | None], *, queue: bool = False
 ) -> Callable[[Event], None]:
-    """A sink for the bus that keeps what each change of state says, for the case that the daemon is killed."""
+    """Return a sink for the bus that records each change of state, for the case that the daemon is killed."""
 
     def keep(event: Event) -> None:
         if isinstance(event, StateChanged) and event.state != DaemonState.FINISHED:
@@ -162,18 +162,18 @@ def recording_exit(
 
 
 def record_exit(state_dir: Path, facts: Mapping[str, Any]) -> None:
-    """Make it what ``last_ending`` tells; a disk that takes no more is logged, and keeps nobody from the end."""
+    """Write the record for ``last_ending``. A disk that fails is logged and does not prevent the end."""
     path = state_dir / RECORD_NAME
     try:
         write_atomic(path, json.dumps({**facts, "at": utc_now()}, indent=2).encode() + b"\n")
     except OSError:
         log.exception("%s cannot be written", path)
         with suppress(OSError):
-            path.unlink()  # an older one would tell what is no longer so
+            path.unlink()  # an older record would be wrong
 
 
 def utc_now() -> str:
-    """ISO 8601, UTC, to the second."""
+    """Return the time in ISO 8601, UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 

@@ -1,6 +1,6 @@
-"""The last word of a cell's daemon, as whoever looks where none runs finds it in the state folder.
+"""Record how the daemon ended, so that ``polishd status`` can report it when no daemon runs.
 
-It is light: ``polishd status`` imports it, and no numpy, no models of a cell and no journal with it.
+It must load fast: ``polishd status`` imports it without numpy, cell models and journal.
 """
 
 from __future__ import annotations
@@ -21,41 +21,41 @@ from polishd.model.states import CellSafety, DaemonState
 from polishd.util.files import make_folder
 
 RECORD_NAME = "ending.json"
-_AGAIN = "polishd run CELL.toml; it comes up held, and polishd resume CELL.toml starts with a new measurement"
-_OVER = "look at report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
+_AGAIN = "polishd run CELL.toml starts a daemon, which holds; polishd resume CELL.toml begins with a new measurement"
+_OVER = "read report.html in the run folder; this job is over, polishd run CELL.toml begins a new one"
 NEXT: Mapping[str, str] = {
     "idle": "polishd queue add CELL.toml JOB.toml adds a job to the queue; polishd stop CELL.toml ends the daemon",
-    "changing": "where there is no loader: put the part in, then polishd resume CELL.toml",
+    "changing": "without a loader: insert the part, then run polishd resume CELL.toml",
     "held": (
-        "when nothing is left to mend: polishd resume CELL.toml goes on, with a new measurement first; a file of the "
-        "cell that was changed counts only after polishd stop CELL.toml and polishd run CELL.toml"
+        "correct the cause, then run polishd resume CELL.toml, which begins with a new measurement; a changed file of "
+        "the cell takes effect only after polishd stop CELL.toml and polishd run CELL.toml"
     ),
-    "killed": f"look at the cell, then: {_AGAIN}",
-    "failed": f"the daemon has ended; when that is mended: {_AGAIN}",
-    "stopped": f"the daemon has ended; to go on with this job: {_AGAIN}",
+    "killed": f"inspect the cell, then: {_AGAIN}",
+    "failed": f"the daemon has ended; correct the cause, then: {_AGAIN}",
+    "stopped": f"the daemon has ended; to continue this job: {_AGAIN}",
     "in_tolerance": _OVER,
-    "as_programmed": f"what the pass has taught is remembered, polishd estimates CELL.toml shows it: {_OVER}",
+    "as_programmed": f"the estimates are saved, polishd estimates CELL.toml shows them: {_OVER}",
     "cycles_used": f"the part is not in tolerance: {_OVER}",
     "diverged": f"the surface got worse: {_OVER}",
-    "stalled": f"passes bring too little of what was predicted: {_OVER}",
+    "stalled": f"passes remove less than predicted: {_OVER}",
 }
-"""What to do, by state or outcome: nobody is told to resume where no daemon runs, nor to run where one is held."""
+"""Next action, by state or outcome. It never proposes resume without a daemon, nor run with a held one."""
 
 
 def next_action(state: str, *, queue: bool) -> str:
-    """What to do, by state or outcome, where a queue is worked or one job."""
+    """Return the next action, by state or outcome, for a queue or a single job."""
     text = NEXT.get(state, "")
     return text.replace("polishd run CELL.toml", "polishd run CELL.toml --queue") if queue else text
 
 
 def safety_sentence(state: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> CellSafety:
-    """How a cell stands: ``state`` is the daemon's, or ``killed``, ``failed`` or the job's outcome where it has ended.
+    """Return the safety of a cell. ``state``: of the daemon, or ``killed``, ``failed`` or the outcome after its end.
 
-    ``unsafe`` is ``Cell.unsafe``; None: the cell was not opened, and no device was asked.
+    ``unsafe`` is ``Cell.unsafe``; None: the cell was not opened, and no device was queried.
     """
 
     def confirmed(port: str) -> str:
-        """By all devices at that port."""
+        """Return whether all devices at that port confirmed it."""
         if unsafe is None:
             return "not asked"
         return "not confirmed" if any(port_of(entry.partition(":")[0]) == port for entry in unsafe) else "yes"
@@ -69,7 +69,7 @@ def safety_sentence(state: str, unsafe: Sequence[str] | None, *, queue: bool = F
 
 
 def for_cell(text: str, cell: Path) -> str:
-    """With commands that can be copied."""
+    """Return the text with the cell's path in its commands."""
     return text.replace("CELL.toml", shlex.quote(str(cell)))
 
 
@@ -82,7 +82,7 @@ class EndCause:
     kind: str
     error: str
     ended: bool
-    """It ended the daemon; else a person could mend it while the daemon waited."""
+    """It ended the daemon; else the daemon held and waited for an operator."""
 
     def __str__(self) -> str:
         """One line."""
@@ -90,36 +90,36 @@ class EndCause:
 
 
 def last_ending(state_dir: Path) -> Mapping[str, Any]:
-    """What is known where no daemon runs: how the last one ended, or that it was killed."""
+    """Return the record of the last daemon where none runs: how it ended, or that it was killed."""
     path = state_dir / RECORD_NAME
     try:
         facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         state, reason = facts["state"], facts["reason"]
         if state not in set(DaemonState) - {DaemonState.FINISHED}:
             return facts
-        was = f"the daemon was killed, or its machine went down, while {state}{f': {reason}' if reason else ''}"
+        was = f"the daemon was killed, or its computer stopped, while {state}{f': {reason}' if reason else ''}"
         return {**facts, **_found("killed", was, tuple(facts["unsafe"]), queue=bool(facts.get("queue")))}
     except FileNotFoundError:
-        return _found("unknown", f"no daemon has left word in {state_dir}", None)
+        return _found("unknown", f"no daemon has left a record in {state_dir}", None)
     except (OSError, ValueError, KeyError, TypeError) as error:
         return _found("unknown", f"{path} cannot be read: {error}", None)
 
 
 def _found(state: str, reason: str, unsafe: Sequence[str] | None, *, queue: bool = False) -> dict[str, Any]:
-    """With the names that the event of a changed state has."""
+    """Return the facts with the field names of the event ``state_changed``."""
     return {"state": state, "reason": reason, **asdict(safety_sentence(state, unsafe, queue=queue))}
 
 
-# One daemon per state folder: an flock that the kernel drops when its holder ends, however it ends.
+# One daemon per state folder: a flock, which the kernel releases at any end of its holder.
 
 LOCK_NAME = "lock"
 
 
 @contextmanager
 def locked(state_dir: Path) -> Iterator[None]:
-    """Exclusive use of a cell's state folder (made, 0700) inside this block; ConfigError names the pid that has it.
+    """Lock a cell's state folder (created with 0700) inside this block; ConfigError names the pid of the other holder.
 
-    The file stays: removing it would let two daemons lock two files of one name.
+    The file stays: without it two daemons could lock two files of the same name.
     """
     try:
         make_folder(state_dir, mode=0o700)
@@ -132,8 +132,8 @@ def locked(state_dir: Path) -> Iterator[None]:
         except BlockingIOError as error:
             pid = os.pread(handle, 32, 0).decode("ascii", "replace").strip() or "unknown"
             raise ConfigError(
-                f"{state_dir}: another polishd runs this cell (pid {pid}); "
-                "stop it first (polishd stop), or give this cell a state_dir of its own"
+                f"{state_dir}: another polishd runs this cell (pid {pid}). Stop it first (polishd stop), or set "
+                "another cell.state_dir"
             ) from error
         try:
             os.ftruncate(handle, 0)
@@ -147,6 +147,6 @@ def locked(state_dir: Path) -> Iterator[None]:
 
 
 def unusable(state_dir: Path, error: OSError) -> ConfigError:
-    """What the system says of a state folder that is full, read-only, or somebody else's."""
+    """Return the error of a state folder that is full, read-only, or owned by another user."""
     where = error.filename or state_dir
-    return ConfigError(f"{where}: the state folder cannot be used: {error.strerror}; mend it, or change cell.state_dir")
+    return ConfigError(f"{where}: the state folder cannot be used: {error.strerror}. Repair it, or set cell.state_dir")

@@ -1,7 +1,7 @@
-"""What this process runs, as it lay on disk at its start: whatever is loaded later must be the same.
+"""Check that the installed software does not change while the daemon runs.
 
-A daemon loads modules late, and starts its compute worker again. Where a distribution was updated or removed meanwhile,
-these would be of another version than the rest of it.
+A daemon loads modules late and restarts its compute worker. After an update or removal of a distribution, these would
+have another version than the rest of the daemon.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from pathlib import Path
 from polishd.model.errors import HostFault
 
 GROUP = "polishd"
-"""Entry points of plugins, polishd's own among them."""
+"""Group of the entry points of all plugins, also those of polishd."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def installed_now() -> dict[str, str]:
-    """Version and hash of the sources of each distribution with plugins; the version of each that these require."""
+    """Return version and hash of the sources of each distribution with plugins; the version of each requirement."""
     importlib.invalidate_caches()
     points: dict[str, list[EntryPoint]] = {}
     plugins: dict[str, Distribution] = {}
@@ -43,7 +43,7 @@ def installed_now() -> dict[str, str]:
         try:
             one = importlib.metadata.distribution(name)
         except importlib.metadata.PackageNotFoundError:
-            continue  # of an extra, or of another system
+            continue  # of an extra, or for another system
         found[name] = one.version
         left += _required(one)
     return found
@@ -51,12 +51,12 @@ def installed_now() -> dict[str, str]:
 
 @cache
 def installed_at_start() -> Mapping[str, str]:
-    """Of this process: what the first call finds. A daemon asks before it opens anything."""
+    """Return the result of the first call in this process. A daemon calls it before it opens anything."""
     return installed_now()
 
 
 def require_same(before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """HostFault, naming each distribution that is another than before, or gone. What came anew disturbs nobody."""
+    """HostFault where a distribution was changed or removed; it names each. New distributions are allowed."""
     changed = [
         f"{name} ({was} when the daemon started, now {now.get(name, 'not installed')})"
         for name, was in sorted(before.items())
@@ -64,8 +64,8 @@ def require_same(before: Mapping[str, str], now: Mapping[str, str]) -> None:
     ]
     if changed:
         raise HostFault(
-            f"installed software changed under the running daemon: {'; '.join(changed)}. Contact is not entered with "
-            "mixed versions; restart the daemon"
+            f"installed software changed while the daemon runs: {'; '.join(changed)}; the tool does not enter contact "
+            "with mixed versions. Restart the daemon"
         )
 
 
@@ -74,13 +74,13 @@ def _key(name: str) -> str:
 
 
 def _required(one: Distribution, *, extras: bool = False) -> list[str]:
-    """Names; extras of a plugin may be its vendor's libraries, those of others are nobody's here."""
+    """Return the names of requirements. Only of plugins the extras count: they may be libraries of a vendor."""
     texts = [text for text in one.requires or () if extras or "extra ==" not in text]
     return [_key(match.group()) for text in texts if (match := _NAME.match(text))]
 
 
 def _sources(points: list[EntryPoint]) -> str:
-    """Short hash of all Python files of the packages that hold those entry points."""
+    """Return the short hash of all Python files of the packages with those entry points."""
     digest = hashlib.sha256()
     for top in sorted({point.module.partition(".")[0] for point in points}):
         for path in _files(top):
@@ -94,7 +94,7 @@ def _sources(points: list[EntryPoint]) -> str:
 
 
 def _files(top: str) -> list[Path]:
-    """Python files of a package or module at the top; none where it is gone. It is not imported."""
+    """Return the Python files of a top-level package or module, without importing it; none where it is missing."""
     spec = PathFinder.find_spec(top) or _by_any_finder(top)
     if spec is None:
         return []
@@ -104,7 +104,7 @@ def _files(top: str) -> list[Path]:
 
 
 def _by_any_finder(top: str) -> ModuleSpec | None:
-    """An editable installation may have a finder of its own; a module that is loaded does not answer for the disk."""
+    """Return the spec from any finder: an editable installation may have a special one."""
     try:
         return importlib.util.find_spec(top)
     except (ImportError, ValueError):

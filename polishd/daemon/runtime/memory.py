@@ -1,6 +1,6 @@
-"""What is left to this process by its own limits, and what it does where memory runs out all the same.
+"""Memory limit of this process, and a reserve for the case that memory runs out.
 
-A reserve is kept through contact and let go at the first MemoryError, so that leaving contact finds memory.
+The daemon holds the reserve during contact and releases it at the first MemoryError, for the way out of contact.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from polishd.model.errors import HostFault
 from polishd.pipeline.disk_space import MB
 
 LEAST_MB = 48.0
-"""Left below a process's own limit: what leaving contact, a record of it and a thread's stack may take."""
+"""Least memory below the process's limit: for leaving contact, its record and the stack of a thread."""
 RESERVE_BYTES, PIECE_BYTES = 4 << 20, 1 << 15
-"""In pieces that the allocator keeps and gives to whoever asks next."""
+"""In pieces of a size that the allocator keeps for the next allocation."""
 LIMITS = {
     "VmSize": (resource.RLIMIT_AS, "LimitAS, ulimit -v"),
     "VmData": (resource.RLIMIT_DATA, "LimitDATA, ulimit -d"),
@@ -23,7 +23,7 @@ _NO_THREAD = "can't start new thread"
 
 
 def process_memory_mb(status: Path = Path("/proc/self/status")) -> tuple[float, str] | None:
-    """What is left below this process's own limit, the one with the least, and what sets it; None: it has none."""
+    """Return the least memory left below a limit of this process, MB, and the name of the limit; None without one."""
     limited = {key: resource.getrlimit(number)[0] for key, (number, _) in LIMITS.items()}
     limited = {key: limit for key, limit in limited.items() if limit != resource.RLIM_INFINITY}
     if not limited:
@@ -38,18 +38,18 @@ def process_memory_mb(status: Path = Path("/proc/self/status")) -> tuple[float, 
 
 
 class Reserve:
-    """Memory that is kept for a way out of contact."""
+    """Memory reserve for the way out of contact."""
 
     def __init__(self) -> None:
         self._kept: list[bytearray] = []
 
     @property
     def kept_bytes(self) -> int:
-        """As of now."""
+        """Present size."""
         return sum(map(len, self._kept))
 
     def take(self) -> None:
-        """Before contact; HostFault where there is not that much. Idempotent."""
+        """Allocate the reserve before contact; HostFault where the memory is not sufficient. Idempotent."""
         try:
             while self.kept_bytes < RESERVE_BYTES:
                 self._kept.append(bytearray(PIECE_BYTES))
@@ -58,16 +58,16 @@ class Reserve:
             raise out_of_memory(error) from error
 
     def release(self) -> None:
-        """Memory is out: what comes next has this much."""
+        """Release the reserve where memory has run out."""
         self._kept.clear()
 
 
 RESERVE = Reserve()
-"""Of the process: its cells share its memory."""
+"""Reserve of the process, shared by its cells."""
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether memory was missing, for an object or for the stack of a thread: then, or in what led to the error."""
+    """Return whether the error or one of its causes is a lack of memory, for an object or the stack of a thread."""
     seen: set[int] = set()
     each: BaseException | None = error
     while each is not None and id(each) not in seen:
@@ -79,19 +79,19 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def out_of_memory(error: BaseException) -> HostFault:
-    """The error in a sentence that says what to do."""
-    what = str(error) or "an object could not be made"
+    """Return the error with a message for the operator."""
+    what = str(error) or "an object could not be created"
     return HostFault(
-        f"the daemon has run out of memory ({what}). Raise its limit (MemoryMax or LimitAS of the service, ulimit -v), "
-        "or end other programs on this computer, then start the daemon again"
+        f"the daemon has run out of memory ({what}). Increase its limit (MemoryMax or LimitAS of the service, "
+        "ulimit -v) or end other programs, then start the daemon again"
     )
 
 
 def named(error: Exception) -> Exception:
-    """The error itself, or out of memory in words, with the reserve let go."""
+    """Return the error, or ``out_of_memory`` in its place after the release of the reserve."""
     if not is_out_of_memory(error):
         return error
     RESERVE.release()
-    told = out_of_memory(error)
-    told.__cause__ = error
-    return told
+    fault = out_of_memory(error)
+    fault.__cause__ = error
+    return fault

@@ -1,4 +1,4 @@
-"""Who computes first: the loop that is in contact with the part, and our own solving behind it. See docs/host.md."""
+"""Process of the daemon: priorities (the contact loop before the solver, docs/host.md), supervisor, and log."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ log = logging.getLogger(__name__)
 
 LOOP_NICE = -10
 BEHIND = 5
-"""Nice levels that computing stands behind a loop that could not be raised. More, and other programs starve it."""
-# linux/mman.h; ONFAULT: pages when they are first used, not all that was ever reserved
+"""Nice levels of the solver after a loop without raised priority. With more, other programs starve the solver."""
+# linux/mman.h; ONFAULT: lock pages at their first use, not all reserved ones
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _CAP_IPC_LOCK = 14
 
 
 @dataclass(frozen=True, slots=True)
 class PriorityResult:
-    """What this computer lets the contact loop have."""
+    """Priority and memory lock that this computer grants to the contact loop."""
 
     first: bool
-    """It runs before everything of usual priority."""
+    """It runs before everything of normal priority."""
     locked: bool
     """Its memory cannot be swapped out."""
     cores: int
 
     def __str__(self) -> str:
-        """For ``polishd check`` and the log."""
+        """Text for ``polishd check`` and the log."""
         first = f"contact loop at nice {LOOP_NICE}" if self.first else f"nice {LOOP_NICE} is not allowed: no priority"
         locked = "memory locked" if self.locked else "memory may be swapped out"
         spare = "one core kept free of computing" if self.cores > 2 else "no core to keep free"
@@ -54,7 +54,7 @@ class PriorityResult:
 
 @contextmanager
 def loop_first() -> Iterator[PriorityResult]:
-    """The calling thread runs before others, in memory that stays, as far as this computer allows; until the end.
+    """Raise the priority of the calling thread and lock memory inside this block, as far as this computer allows.
 
     Threads and processes that it starts do not inherit the priority.
     """
@@ -68,22 +68,22 @@ def loop_first() -> Iterator[PriorityResult]:
         yield granted
     finally:
         os.setpriority(os.PRIO_PROCESS, 0, nice)
-        with suppress(OSError):  # it harms nobody
+        with suppress(OSError):  # the other policy does no harm
             os.sched_setscheduler(0, policy, os.sched_getparam(0))
         if granted.locked:
             ctypes.CDLL(None).munlockall()
 
 
 def host() -> str:
-    """What a run would be granted here, in words: tried, and given back."""
+    """Return the text on what this computer grants to a run. It tries and restores the settings."""
     with loop_first() as granted:
         return str(granted)
 
 
 def compute_last() -> None:
-    """For the daemon's process that computes: behind the loop, and not on the core that is kept for it.
+    """Lower this process, the compute worker, below the contact loop, and keep it off the loop's core.
 
-    Behind a raised loop usual priority is enough.
+    Normal priority is low enough where the loop is raised.
     """
     if sys.platform == "linux":
         behind = os.getpriority(os.PRIO_PROCESS, os.getppid()) + BEHIND  # of the main thread, which is the loop's
@@ -93,12 +93,12 @@ def compute_last() -> None:
 
 
 def cores_to_compute(allowed: set[int]) -> set[int]:
-    """All but the first, where there are more than two."""
+    """Return all cores but the first, where there are more than two."""
     return allowed - {min(allowed)} if len(allowed) > 2 else allowed
 
 
 def _raised(nice: int, policy: int) -> bool:
-    """Raise the calling thread, alone."""
+    """Raise the priority of the calling thread only."""
     try:
         os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))
         os.setpriority(os.PRIO_PROCESS, 0, min(nice, LOOP_NICE))
@@ -108,93 +108,93 @@ def _raised(nice: int, policy: int) -> bool:
 
 
 def _locked() -> bool:
-    """Lock the process's memory, where there is no limit to it: with one, allocations beyond it would fail."""
+    """Lock the process's memory, where that has no limit: beyond a limit, allocations would fail."""
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     flags = _MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT
     return (unlimited or _may_lock()) and ctypes.CDLL(None).mlockall(flags) == 0
 
 
 def _may_lock() -> bool:
-    """Whether the capability CAP_IPC_LOCK is there, which no limit binds."""
+    """Return whether the process has CAP_IPC_LOCK, so that no limit applies."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return bool(int(status["CapEff"], 16) >> _CAP_IPC_LOCK & 1)
 
 
-# What the daemon tells whoever supervises its process: sd_notify of systemd, over ``NOTIFY_SOCKET``.
+# Reports to the supervisor of the process: sd_notify of systemd, over ``NOTIFY_SOCKET``.
 
 
 SOCKET, WATCHDOG_US, WATCHDOG_PID = "NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"
 
 
 class SystemdNotifier:
-    """Of the process in which so many cells run; ``environment`` is what systemd set."""
+    """Reports of a process with that number of cells; ``environment`` is from systemd."""
 
     def __init__(self, cells: int = 1, environment: Mapping[str, str] = os.environ) -> None:
         self._cells = cells
         self._address = environment.get(SOCKET, "")
         self.watchdog_s = _watchdog_s(environment)
-        """It kills the process that says nothing for so long; 0 where it does not."""
+        """Time without a report after which systemd kills the process; 0 without a watchdog."""
         self._states: dict[str, str] = {}
 
     def stopping(self) -> None:
-        """The end was asked for."""
-        self._tell("STOPPING=1")
+        """Report that the end begins."""
+        self._send("STOPPING=1")
 
-    def hears(self, cell: str) -> Callable[[Event], None]:
-        """A sink for that cell's bus: its state, with the reason, is what the supervisor shows."""
+    def status_sink(self, cell: str) -> Callable[[Event], None]:
+        """Return a sink for that cell's bus, which reports its state and the reason."""
 
-        def hear(event: Event) -> None:
+        def report(event: Event) -> None:
             if isinstance(event, StateChanged):
                 self.status(cell, f"{cell}: {event.state}{f': {event.reason}' if event.reason else ''}")
 
-        return hear
+        return report
 
     def status(self, cell: str, text: str) -> None:
-        """One line on a cell; with the last one's first the process is ready: all answer, or have ended already."""
+        """Report a line on a cell. The process is ready when each cell has a line: all answer, or have ended."""
         waited_for = len(self._states) < self._cells
         self._states[cell] = " ".join(text.split())
         ready = ["READY=1"] if waited_for and len(self._states) == self._cells else []
-        self._tell("\n".join([*ready, "STATUS=" + "; ".join(self._states.values())]))
+        self._send("\n".join([*ready, "STATUS=" + "; ".join(self._states.values())]))
 
     async def feed(self, lives: Callable[[float], bool]) -> None:
-        """Feed the watchdog for as long as ``lives`` (all is written that is older than so many seconds) says so.
+        """Feed the watchdog while ``lives`` is true: each row older than so many seconds is durable.
 
-        Only a loop that turns comes here at all.
+        A blocked event loop does not feed it either.
         """
         while self.watchdog_s:
             if lives(self.watchdog_s / 2):
-                self._tell("WATCHDOG=1")
+                self._send("WATCHDOG=1")
             else:
-                log.error("a journal is not written any more: the watchdog of the service is not fed")
+                log.error("a journal is not written in time: the daemon does not feed the service's watchdog")
             await asyncio.sleep(self.watchdog_s / 4)
 
-    def _tell(self, text: str) -> None:
+    def _send(self, text: str) -> None:
         if not self._address:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
         try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as told:
-                told.setblocking(False)
-                told.sendto(text.encode(), address)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as supervisor:
+                supervisor.setblocking(False)
+                supervisor.sendto(text.encode(), address)
         except OSError as error:
-            log.warning("the supervisor of this process cannot be told %s: %s", text, error)
+            log.warning("%s cannot be sent to the supervisor of this process: %s", text, error)
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float:
-    """0 where it is another process's, or no number."""
+    """Return systemd's watchdog time; 0 where it is for another process, or no number."""
     if environment.get(WATCHDOG_PID, str(os.getpid())) != str(os.getpid()):
         return 0.0
     text = environment.get(WATCHDOG_US, "")
     return int(text) / 1e6 if text.isdecimal() else 0.0
 
 
-# The structured log of a cell: one JSON object a line in its state folder, for machines; times are UTC.
+# Structured log of a cell in its state folder: one JSON object a line, times in UTC.
 
 LOG_NAME = "polishd.log"
 _MAX_BYTES = 10_000_000
 _KEPT = 5
 _cell: ContextVar[Path | None] = ContextVar("cell", default=None)
-"""The state folder of the cell at work."""
+"""State folder of the cell of this context."""
 
 
 class JsonLines(logging.Formatter):
@@ -217,17 +217,17 @@ class JsonLines(logging.Formatter):
 
 @contextmanager
 def logging_to(state_dir: Path) -> Iterator[None]:
-    """What polishd logs of a cell goes to ``state_dir/polishd.log`` (rotated) inside this block.
+    """Write the log of a cell to ``state_dir/polishd.log`` (rotated) inside this block.
 
-    Of a cell is what is logged in this context: by the tasks and threads that begin in the block. What belongs to no
-    cell is in the log of each. A thread writes it: who logs in contact does not wait for the disk.
+    It has the records of this context: of the tasks and threads that begin in the block. Records without a cell go to
+    the log of each cell. A thread writes, so that the contact loop does not wait for the disk.
     """
     file = logging.handlers.RotatingFileHandler(
         state_dir / LOG_NAME, maxBytes=_MAX_BYTES, backupCount=_KEPT, encoding="utf-8"
     )
     lines: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
     handler = logging.handlers.QueueHandler(lines)
-    handler.setFormatter(JsonLines())  # here, as things are now; what is queued is the line
+    handler.setFormatter(JsonLines())  # here, with the present values: the queue gets the line
     handler.addFilter(lambda _: _cell.get() in {None, state_dir})
     _cell.set(state_dir)
     writer = logging.handlers.QueueListener(lines, file)
@@ -239,7 +239,7 @@ def logging_to(state_dir: Path) -> Iterator[None]:
         yield
     finally:
         logger.removeHandler(handler)
-        if not logger.handlers:  # else another cell still logs
+        if not logger.handlers:  # else another cell logs
             logger.setLevel(logging.NOTSET)
         writer.stop()
         file.close()

@@ -1,7 +1,7 @@
-"""The daemon's socket: JSON lines on a Unix socket that only its owner may open.
+"""Socket of the daemon: JSON lines on a Unix socket that only its owner may open.
 
-Request: see ``verbs``. Answer: ``{"ok": true, ...}`` or ``{"ok": false, "error": "..."}``. After the answer to
-``subscribe`` come events, one a line: ``{"event": {"name", "cycle", "data"}}``, until either side ends.
+Requests: see ``client.VERBS``. Answer: ``{"ok": true, ...}`` or ``{"ok": false, "error": "..."}``. After the answer to
+``subscribe`` the daemon sends events, one a line: ``{"event": {"name", "cycle", "data"}}``, until either side ends.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from polishd.util.serialization import plain
 log = logging.getLogger(__name__)
 
 Handler = Callable[..., Awaitable[Mapping[str, Any]]]
-"""What obeys a verb: called with its arguments by name."""
+"""Handler of a command, called with its arguments by name."""
 
 WRITE_S = 5.0
 """A client that does not read for so long is dropped."""
 
 
 class ControlSocket:
-    """Answers by ``handlers``, and ``subscribe``; made by ``serving``."""
+    """Answers requests with ``handlers`` and ``subscribe``. ``serving`` creates it."""
 
     def __init__(self, handlers: Mapping[str, Handler], bus: EventBus) -> None:
         self._handlers = handlers
@@ -43,7 +43,7 @@ class ControlSocket:
         self._answered = asyncio.Condition()
 
     async def session(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One client, until it hangs up, falls silent while it is written to, or the daemon ends."""
+        """Serve one client until it closes the connection, does not read its answers, or the daemon ends."""
         task = asyncio.current_task()
         if task is not None:
             self._sessions.add(task)
@@ -53,12 +53,12 @@ class ControlSocket:
         except (OSError, TimeoutError, ValueError) as error:
             log.info("a client was dropped: %s: %s", type(error).__name__, error)
         except asyncio.CancelledError:
-            log.debug("a client was left behind at the daemon's end")
+            log.debug("a client was still connected at the daemon's end")
         finally:
             writer.close()
 
     async def close(self) -> None:
-        """End all sessions, once those who asked have their answer: ``stop`` is obeyed just before this."""
+        """End all sessions after running requests are answered, such as the ``stop`` that ends the daemon."""
         async with self._answered:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(WRITE_S):
@@ -101,11 +101,11 @@ class ControlSocket:
         with self._bus.subscription() as events:
             await _send(writer, {"ok": True})
             async with asyncio.TaskGroup() as group:
-                teller = group.create_task(_tell(events, writer), name="tell subscriber")
-                hung_up = group.create_task(_until_hung_up(reader, writer), name="subscriber hangs up")
-                await asyncio.wait({teller, hung_up}, return_when=asyncio.FIRST_COMPLETED)
-                teller.cancel()
-                hung_up.cancel()
+                sending = group.create_task(_send_events(events, writer), name="send events to subscriber")
+                closed = group.create_task(_until_closed(reader, writer), name="subscriber closes")
+                await asyncio.wait({sending, closed}, return_when=asyncio.FIRST_COMPLETED)
+                sending.cancel()
+                closed.cancel()
 
 
 @asynccontextmanager
@@ -127,23 +127,23 @@ async def serving(state_dir: Path, handlers: Mapping[str, Handler], bus: EventBu
 def _bind(path: Path) -> socket.socket:
     if path.exists() or path.is_symlink():
         if not stat.S_ISSOCK(path.lstat().st_mode):
-            raise ConfigError(f"{path}: is not a socket; move it away, or change cell.state_dir")
+            raise ConfigError(f"{path}: is not a socket. Move the file to another folder, or set cell.state_dir")
         path.unlink()
     server = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        os.fchmod(server.fileno(), 0o600)  # before bind: there is no moment at which others may connect
+        os.fchmod(server.fileno(), 0o600)  # before bind, so that others can never connect
         with address_of(path) as address:
             server.bind(address)
         path.chmod(0o600)
     except OSError as error:
         server.close()
-        raise ConfigError(f"{path}: the socket cannot be made: {error}; change cell.state_dir") from error
+        raise ConfigError(f"{path}: the socket cannot be created: {error}. Set cell.state_dir") from error
     server.setblocking(False)
     return server
 
 
 async def _line(reader: asyncio.StreamReader) -> bytes | None:
-    """Return the next line, empty at the end; None in the place of one that is too long, which is dropped."""
+    """Return the next line, empty at the end; None in place of a line that is too long."""
     is_too_long = False
     while True:
         try:
@@ -157,21 +157,23 @@ async def _line(reader: asyncio.StreamReader) -> bytes | None:
         return None if is_too_long and line else line
 
 
-async def _until_hung_up(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Answer each line of a subscriber by an error, until it hangs up: it goes on to hear events."""
+async def _until_closed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Answer each line of a subscriber with an error until it closes the connection. It still receives events."""
     try:
         while await _line(reader) != b"":
-            await _send(writer, {"ok": False, "error": "this connection is for events: ask on another one"})
+            await _send(
+                writer, {"ok": False, "error": "this connection is for events only. Send requests on another one"}
+            )
     except OSError:
-        log.debug("a subscriber hung up")
+        log.debug("a subscriber closed the connection")
 
 
-async def _tell(events: AsyncIterator[Any], writer: asyncio.StreamWriter) -> None:
+async def _send_events(events: AsyncIterator[Any], writer: asyncio.StreamWriter) -> None:
     try:
         async for event in events:
             await _send(writer, {"event": event.facts()})
     except OSError:
-        log.debug("a subscriber hung up")
+        log.debug("a subscriber closed the connection")
 
 
 async def _send(writer: asyncio.StreamWriter, answer: Mapping[str, Any]) -> None:

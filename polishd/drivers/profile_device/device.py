@@ -97,8 +97,8 @@ class RequestChannel:
         await self.wire.disconnect()
 
     async def identify(self) -> DeviceIdentity:
-        """Return the identity of the device that answers."""
-        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identity_values)))
+        """Who is there."""
+        return identity(self.wire.profile, await self.ask(lambda: self.wire.read(self.wire.profile.identifying)))
 
     async def ask(self, work: Callable[[], Awaitable[T]], *, urgent: bool = False) -> T:
         """Run ``work`` in its turn, on an open link."""
@@ -134,8 +134,8 @@ class RequestChannel:
         try:
             values = await self.wire.read(profile.with_signs([*profile.polled, *(one.when for one in profile.expects)]))
         except DeviceRefused as error:
-            doubt = "" if "another device" in str(error) else "; is it another device?"
-            raise DeviceRefused(f"{error}{doubt}") from None
+            hint = "is it another device?"
+            raise (error if hint in str(error) else DeviceRefused(f"{error}; {hint}")) from None
         for one in profile.expects:
             if not one.holds(values[one.when]):
                 said = f"{self.wire.name}: another device answers: its {one.when} reads {values[one.when]!r}"

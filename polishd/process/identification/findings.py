@@ -1,6 +1,6 @@
 """Findings from several passes: slower convergence than predicted, rate drift, tool wear, a changed spot.
 
-Detection limits and false-alarm rates: docs/wear.md.
+Detection limits and false-alarm rates: docs/tool-wear.md.
 """
 
 from __future__ import annotations

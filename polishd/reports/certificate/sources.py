@@ -316,7 +316,7 @@ class MapReconstructor:
         surface = read_map(path, self._readers.values())
         if surface.history is None:
             raise ConfigError(f"{path}: has no uncertainty of its terms")
-        return SystemMap(surface, AbsoluteTestResult.load(surface.history.options["told"]))
+        return SystemMap(surface, AbsoluteTestResult.load(surface.history.options["terms"]))
 
     def _named(self, name: str, sha256: str, what: str) -> Path:
         """Return a file in the folder of the run, the cell or the profile, found by name and SHA-256."""

@@ -434,13 +434,13 @@ def _problems(config: SimConfig, fault: FaultSection) -> Iterator[tuple[str, str
         if fault.what not in can:
             yield "what", f"the {fault.device} cannot {fault.what}; it can {', '.join(can) or 'do none of that kind'}"
         if not fault.reported and config.robot.kind == "linuxcnc":
-            yield "reported", "a real LinuxCNC reports its feed override; leave it out, or use stand"
+            yield "reported", "a real LinuxCNC reports its feed override. Remove the key, or use stand"
         return
     links = protocols(config, fault.device)
     if not links:
-        yield "device", "a LinuxCNC is no simulator: its wire is its own; cut it from outside, or use another kind"
+        yield "device", "a real LinuxCNC has a link without faults. Cut the link outside, or set another kind"
     elif fault.link and fault.link not in links:
-        yield "link", f"this {fault.device} has no links with names; leave it out"
+        yield "link", f"this {fault.device} has no named links. Remove the key"
     elif fault.what in {"wrong_unit", "exception"}:
         meant = [name for link, name in links.items() if fault.link in {"", link}]
         if not any(getattr(PROTOCOLS[name], fault.what) for name in meant):

@@ -27,8 +27,8 @@ PROVED = ("polishd/daemon", "polishd/util/files.py")
 """What the figures are of: where it changes, they begin anew."""
 SAID = {
     "lost": "acknowledged, and lost",
-    "twice_unmarked": "polished, and the journal does not tell so",
-    "claimed": "blocks that the journal tells as polished, and the plant did not see",
+    "twice_unmarked": "polished, and not recorded in the journal",
+    "claimed": "blocks that the journal has as polished, and the plant did not see",
     "unopenable": "journals that do not open",
     "dug": "tools that stood on the part for longer than they may",
     "not_held": "starts that were not held",
@@ -173,7 +173,7 @@ def table(all_: Mapping[str, Any]) -> str:
         ("attacks in all", f"{attacks.total():,}"),
         ("... of each kind", each),
         ("... with the tool on its way to the part, or on it", f"{kills['in_contact']:,}"),
-        ("starts that came up held, and went on when told to", f"{kills['went_on']:,}"),
+        ("starts that came up held, and went on after `resume`", f"{kills['went_on']:,}"),
         ("jobs that went on to their end", f"{kills['finished']:,}"),
         ("longest that a tool stood on the part after an attack, s", f"{kills['dug_s']:g}"),
         ("states of the model", f"{max(model['states'] or [0]):,}, with {model['faults']} faults"),

@@ -22,7 +22,7 @@ FOLDER = ROOT / "build" / "shop"
 PAGE = ROOT / "docs" / "shop.md"
 BEGIN, END = "<!-- written by make shop-campaign -->\n", "<!-- end of it -->\n"
 PARTS, SITTING, SPEED = 300, 30, 40.0
-OF = ("polishd/shop", "polishd/daemon", "polishd/door")
+OF = ("polishd/shop", "polishd/daemon", "polishd/web/http")
 """Sources on which what comes of it depends."""
 
 

@@ -99,8 +99,8 @@ RECOVERED = (
     Script("old map dropped again", 2.0, {"interferometer.faults": {"duplicate_first": True}}),
     Script("another part's map first", 2.0, {"interferometer.faults": {"wrong_part_first": True}}),
     Script("instrument takes 3 s to write", 2.0, {"interferometer": {"write_s": 3.0}}),
-    Script("daemon stands for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("daemon", 0.3)),
-    Script("robot stands for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.3)),
+    Script("daemon stopped for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("daemon", 0.3)),
+    Script("robot stopped for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.3)),
     Script("daemon killed between jobs", 2.0, {}, "between jobs", SoakCell.kill_daemon, restarts=1),
 )
 """By polishd alone."""

@@ -1,4 +1,4 @@
-"""The workbench's command line: by itself, and mounted beside the verbs of a cell."""
+"""The workbench's command line, alone and with the commands of a cell."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_it_helps_by_itself() -> None:
 
 @pytest.mark.parametrize("words", [("map", "formats", "--json"), ("program", "dialects"), ("tif", str(EXAMPLE))])
 def test_it_needs_no_daemon(words: tuple[str, ...]) -> None:
-    """Nor the verbs of a cell: it can become a distribution of its own."""
+    """Nor the verbs of a cell: it can become a separate distribution."""
     code = (
         f"import atexit, sys\nsys.argv = ['polishd', *{words!r}]\n"
         "others = ('polishd.daemon', 'polishd.web', 'polishd.shop')\n"

@@ -1,4 +1,4 @@
-"""``polishd notify``, and what is wrong with a ``[notify.NAME]``: told by file, line and key, without the secret."""
+"""``polishd notify``, and what is wrong with a ``[notify.NAME]``: file, line and key are named, without the secret."""
 
 from __future__ import annotations
 
@@ -55,27 +55,27 @@ def test_each_notifier_says_how_its_test_went(cell: Any, polishd: Polishd, tmp_p
             f'[notify.{name}]\ntype = "webhook"\nurl = "{url}"\ntoken = "file:secret"' for name, url in hooks.items()
         ]
         path = cell("\n".join(lines))
-        told = polishd("notify", path, "--json")
+        shown = polishd("notify", path, "--json")
         for_people = polishd("notify", path)
-    found = {one["notifier"]: one for one in json.loads(told.out)["notifiers"]}
-    assert (told.code, for_people.code) == (5, 5)
+    found = {one["notifier"]: one for one in json.loads(shown.out)["notifiers"]}
+    assert (shown.code, for_people.code) == (5, 5)
     assert found["hook"] == {"notifier": "hook", "type": "webhook", "severity": "warning", "error": "", "waiting": 0}
     assert "answered 403" in found["closed"]["error"]
     assert hook.wait()["event"] == "test"
-    assert SECRET not in told.out + told.err + for_people.out + for_people.err
+    assert SECRET not in shown.out + shown.err + for_people.out + for_people.err
     assert not outbox_path(tmp_path / "state", "hook").exists(), "it is no daemon's affair"
 
 
 def test_all_well_is_0_and_what_a_daemon_left_is_counted(cell: Any, polishd: Polishd, tmp_path: Path) -> None:
-    path = cell('[notify.siren]\ntype = "command"\nargv = ["sh", "-c", "cat > told"]\n')
+    path = cell('[notify.siren]\ntype = "command"\nargv = ["sh", "-c", "cat > sent"]\n')
     assert polishd("notify", path).code == 0
-    left = json.loads((tmp_path / "told").read_text())
+    left = json.loads((tmp_path / "sent").read_text())
     left = {key: value for key, value in left.items() if key not in {"title", "text"}}
     kept = outbox_path(tmp_path / "state", "siren")
     kept.parent.mkdir(parents=True)
     kept.write_text(json.dumps({"waiting": [left], "told": {}}))
-    told = polishd("notify", path, "--json")
-    assert (told.code, json.loads(told.out)["notifiers"][0]["waiting"]) == (0, 1)
+    shown = polishd("notify", path, "--json")
+    assert (shown.code, json.loads(shown.out)["notifiers"][0]["waiting"]) == (0, 1)
     assert json.loads(kept.read_text())["waiting"] == [left], "it is the daemon's to send"
 
 
@@ -101,7 +101,7 @@ MAIL = '[notify.mail]\ntype = "email"\nhost = "here"\nsender = "a@b.c"\nto = ["a
 @pytest.mark.parametrize(
     ("text", "plugins", "says"),
     [
-        ("", OWN, "notify: nobody is told of anything; add a section [notify.NAME]"),
+        ("", OWN, "notify: there is no notifier"),
         (MAIL, (), "notify.mail.type: unknown type 'email'. The loaded plugins have: none; plugins.load must name its"),
         ("[notify.mail]\n", OWN, "notify.mail.type: is missing; add it: type = ..."),
         (MAIL + 'severity = "loud"\n', OWN, "notify.mail.severity: 'loud' is not allowed; must be 'info'"),
@@ -115,10 +115,10 @@ MAIL = '[notify.mail]\ntype = "email"\nhost = "here"\nsender = "a@b.c"\nto = ["a
 def test_what_is_wrong_is_told_by_its_key(
     cell: Any, polishd: Polishd, text: str, plugins: tuple[str, ...], says: str
 ) -> None:
-    told = polishd("notify", cell(text, plugins))
-    assert told.code == 3
-    assert says in told.err
-    assert SECRET not in told.out + told.err
+    shown = polishd("notify", cell(text, plugins))
+    assert shown.code == 3
+    assert says in shown.err
+    assert SECRET not in shown.out + shown.err
 
 
 @pytest.mark.parametrize(
@@ -132,14 +132,12 @@ def test_a_broken_plugin_is_refused_by_name(cell: Any, polishd: Polishd, install
     install("acme", PAGER.format(body=body))
     told = polishd("notify", cell('[notify.me]\ntype = "pager"\n', ("acme",)))
     assert told.code == 3
-    assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}; mend the plugin" in told.err
+    assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}. Correct the plugin" in told.err
 
 
 def test_somebody_elses_notifier(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:
-    body = (
-        "def build(options, base_dir): return lambda told: (base_dir / 'told').write_text(options.number + told.text)"
-    )
+    body = "def build(options, base_dir): return lambda it: (base_dir / 'sent').write_text(options.number + it.text)"
     install("acme", PAGER.format(body=body))
     path = cell('[notify.me]\ntype = "pager"\nnumber = "4711"\n', ("acme",))
     assert polishd("notify", path).code == 0
-    assert (tmp_path / "told").read_text().startswith("4711what happened: this is a test")
+    assert (tmp_path / "sent").read_text().startswith("4711what happened: this is a test")

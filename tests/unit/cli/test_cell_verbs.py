@@ -71,7 +71,7 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     assert {limit["key"]: limit["seconds"] for limit in facts["time limits"]}["robot.watchdog_s"] == 8.0
     people = polishd("check", files.cell)
     assert (people.code, "nothing was opened" in people.out) == (0, True)
-    words = ("tool up after the last word", "6.2 s", "robot.watchdog_s", "robot that stands", "warning: A robot")
+    words = ("tool up after the last command", "6.2 s", "robot.watchdog_s", "standstill of the robot", "warning: A")
     for said_to_people in words:
         assert said_to_people in people.out
 
@@ -81,8 +81,8 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
     ("change", "code", "says"),
     [
         ({"dwell": {"solver": "newton"}}, 3, "newton_cg"),
-        ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: robot stops by itself: 2 s; at least 6.7 s"),
-        ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: robot stops by itself: 8 s; at least 10.7 s"),
+        ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: watchdog of the robot: 2 s; at least 6.7 s"),
+        ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: watchdog of the robot: 8 s; at least 10.7 s"),
         ({"job": {"stream_ahead_s": 1.0}}, 3, "job.stream_ahead_s: motion held by the robot: 1 s; at least 6.2 s"),
         ({"program": {"path": "gone.rnc"}}, 9, "gone.rnc"),
         ({"robot": {"type": "robot"}}, 3, "robot_link"),
@@ -113,13 +113,13 @@ def test_a_robot_that_cannot_read_the_program_is_told_with_the_key(polishd: Poli
     line = next(k for k, line in enumerate(wrong.read_text().splitlines(), 1) if line.startswith("format"))
     assert said.err == (
         f"polishd: {wrong}:{line}: program.format: program.rnc: robot (universal_robots) does not take it: no line of "
-        "the program moves or waits in URScript: look at [program] format\n"
+        "the program moves or waits in URScript. Check [program] format.\n"
     )
 
 
 def test_check_says_what_the_program_covers_and_where_the_seat_is_proved(polishd: Polishd, files: DemoFiles) -> None:
     found = polishd("check", files.cell, "--json").answer
-    assert found["seat"].startswith("proved with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")
+    assert found["seat"].startswith("checked with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")
     covers = found["covers"]
     assert covers.startswith("program.rnc reaches 16.0 mm from the part's centre, the part is a circle of 20 mm; ")
     assert covers.endswith("no point reaches 0.0 % of the clear aperture")
@@ -155,7 +155,7 @@ def test_the_program_of_another_part(
 
 @pytest.mark.parametrize("kind", ["cell", "profile", "study", "simulator", "dialect"])
 def test_a_byte_order_mark_is_no_fault(tmp_path: Path, kind: str) -> None:
-    """Editors of Windows put one before their UTF-8; what tomllib says of it nobody understands."""
+    """Editors of Windows put one before their UTF-8; the message of tomllib is not helpful."""
     examples = Path(__file__).parents[3] / "examples"
     load: dict[str, tuple[Path, Callable[[Path], object]]] = {
         "cell": (examples / "cell.toml", load_config),
@@ -191,7 +191,7 @@ def test_plan_refuses_what_is_there(polishd: Polishd, files: DemoFiles) -> None:
 
 
 def test_plan_takes_the_cells_own_program(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:
-    """Read before anything is computed: that it is broken is told by its name."""
+    """Read before anything is computed: the error names the broken file."""
     (files.out / "program.rnc").write_text("G21 G90 G94\nG91\nM2\n")
     part = load_config(files.cell).part.id
     said = polishd("plan", files.cell, dat(tmp_path / "part.dat", surface(), part=part), "--out", tmp_path / "plan")
@@ -251,12 +251,12 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
 @pytest.mark.parametrize(
     ("state", "unsafe", "tool", "says"),
     [
-        ("stopped", (), "yes", "it comes up held"),
+        ("stopped", (), "yes", "which holds"),
         ("failed", ("actuator: no answer",), "not confirmed", "when that is mended: polishd run"),
         ("cycles_used", (), "yes", "begins a new one"),
         ("failed", None, "not asked", "when that is mended: polishd run"),
-        ("held", (), "yes", "look at the cell, then: polishd run"),
-        ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "look at the cell, then: polishd run"),
+        ("held", (), "yes", "inspect the cell, then: polishd run"),
+        ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "inspect the cell, then: polishd run"),
     ],
 )
 def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
@@ -266,13 +266,13 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     cause = asdict(EndCause("09:00", "SafetyStop", "force", ended=True))
     record_exit(files.state_dir, {**safety_of(state, "why", unsafe).data, "run_dir": "runs/demo", "causes": [cause]})
     said = polishd("status", files.cell, "--json")
-    told = json.loads(said.out)
+    shown = json.loads(said.out)
     killed = state in ("held", "polishing")
-    assert (said.code, told["ok"], told["state"]) == (5, False, "killed" if killed else state)
-    assert (told["tool_off"], told["run_dir"], told["causes"]) == (tool, "runs/demo", [cause])
-    assert "no daemon is running" in told["error"]
-    assert "why" in told["reason"]
-    assert ("was killed" in told["reason"]) == killed
+    assert (said.code, shown["ok"], shown["state"]) == (5, False, "killed" if killed else state)
+    assert (shown["tool_off"], shown["run_dir"], shown["causes"]) == (tool, "runs/demo", [cause])
+    assert "no daemon is running" in shown["error"]
+    assert "why" in shown["reason"]
+    assert ("was killed" in shown["reason"]) == killed
     people = polishd("status", files.cell)
     assert people.code == 5
     lines = people.out.splitlines()
@@ -280,8 +280,8 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     assert {"cause: 09:00 ended: SafetyStop: force", f"tool off the part: {tool}"} <= set(lines)
     assert lines[-1].startswith("next: ")
     assert says in lines[-1]
-    told_to_resume = "polishd resume" in people.out
-    assert told_to_resume == ("it comes up held" in lines[-1]), "nobody is told to resume where no daemon runs"
+    says_resume = "polishd resume" in people.out
+    assert says_resume == ("which holds" in lines[-1]), "without a daemon there is nothing to resume"
 
 
 @pytest.mark.one_of_each
@@ -293,8 +293,8 @@ def test_status_where_nothing_is_known(polishd: Polishd, files: DemoFiles, conte
     if content is not None:
         record.write_bytes(content)
     said = polishd("status", files.cell, "--json")
-    told = json.loads(said.out)
-    assert (said.code, told["state"], told["tool_off"]) == (5, "unknown", "not asked")
+    shown = json.loads(said.out)
+    assert (said.code, shown["state"], shown["tool_off"]) == (5, "unknown", "not asked")
     assert polishd("status", files.cell).code == 5
     record.unlink(missing_ok=True)
 
@@ -348,7 +348,7 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
     assert "RMS 20.46 nm" in people
     assert "by order" in people
     assert "robot.left" in people
-    assert "Acme arm 7, heard 0.2 s ago" in people
+    assert "Acme arm 7, answered 0.2 s ago" in people
     assert "0.012 (at most 0.5)" in people
     assert "12 (at least 128: make room)" in people
     assert "(not used by this job)" in people
@@ -358,10 +358,10 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
 def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
     said = polishd("probe", files.cell)
     assert said.code == 5
-    assert "4 of 4 devices did not answer as they should: actuator, robot, spindle, metrology" in said.err
-    told = json.loads(polishd("probe", files.cell, "--only", "robot", "--json").out)
-    assert list(told) == ["robot"]
-    assert "nobody listens there" in told["robot"]["error"]
+    assert "4 of 4 devices failed: actuator, robot, spindle, metrology" in said.err
+    shown = json.loads(polishd("probe", files.cell, "--only", "robot", "--json").out)
+    assert list(shown) == ["robot"]
+    assert "the port is closed" in shown["robot"]["error"]
 
 
 # plugins
@@ -382,12 +382,12 @@ def test_plugins(polishd: Polishd) -> None:
 
 def test_a_plugin_that_is_refused_is_told_and_fails(polishd: Polishd, files: DemoFiles) -> None:
     wrong = files.out / "plugins.toml"
-    wrong.write_text(with_values(files.cell.read_text(), {"plugins": {"load": ["rnc_robot", "nobody"]}}))
+    wrong.write_text(with_values(files.cell.read_text(), {"plugins": {"load": ["rnc_robot", "missing"]}}))
     said = polishd("plugins", wrong, "--json")
     answer = json.loads(said.out)
     assert said.code == 3
     assert [plugin["name"] for plugin in answer["loaded"]] == ["rnc_robot"]
-    assert answer["refused"][0]["name"] == "nobody"
+    assert answer["refused"][0]["name"] == "missing"
 
 
 # the demo

@@ -52,7 +52,7 @@ def test_it_serves(polishd: Polishd, cell: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(web, "serve", served.append)
     said = polishd("web", cell)
     assert (said.code, len(served)) == (0, 1)
-    assert "nobody can sign in yet" in said.err
+    assert "there are no users" in said.err
 
 
 def test_approve_is_for_the_plan_that_waits_now(polishd: Polishd, cell: Path, monkeypatch: pytest.MonkeyPatch) -> None:

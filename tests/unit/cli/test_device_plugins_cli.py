@@ -78,7 +78,7 @@ def test_an_actuator_that_cannot_lift(polishd: Polishd, cell: Path, install: Cal
     said = polishd(verb, cell)
     assert said.code == 3, said
     assert f"polishd: {cell}:{line}: actuator.type: plugin 'acme', device type 'soft_tool': " in said.err
-    assert "SoftTool is no ForceActuator: it has no " in said.err
+    assert "SoftTool is not a ForceActuator: it has no " in said.err
     assert "'retract'" in said.err
     assert "nothing was opened" in said.err
     assert not (cell.parent / "opened").exists()
@@ -95,7 +95,7 @@ def test_an_actuator_that_cannot_lift(polishd: Polishd, cell: Path, install: Cal
             "type",
             "plugin 'acme', device type 'soft_tool': cannot be built: ValueError",
         ),
-        ("    return None", "type", "NoneType is no ForceActuator: it has no 'open'"),
+        ("    return None", "type", "NoneType is not a ForceActuator: it has no 'open'"),
     ],
 )
 def test_a_device_that_cannot_be_built(

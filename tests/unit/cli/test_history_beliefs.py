@@ -70,9 +70,9 @@ def test_a_tool_that_a_person_had_to_see_to_is_another_one(polishd: Polishd, cel
 
 def test_forgetting(polishd: Polishd, cell: Path) -> None:
     said = polishd("estimates", cell, "--forget", "--reason", "another pad")
-    assert "the next job begins with nothing learned" in " ".join(said.out.split())
+    assert "the next job starts without estimates" in " ".join(said.out.split())
     assert json.loads(polishd("estimates", cell, "--json").out)["beliefs"] == []
-    assert "nothing is remembered" in polishd("estimates", cell).out
+    assert "there are no estimates" in polishd("estimates", cell).out
 
 
 def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, cell: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, c
         said = polishd("estimates", cell, "--forget")
         assert said.code == 3
         assert "another polishd runs this cell" in said.err
-        assert len(json.loads(polishd("estimates", cell, "--json").out)["beliefs"]) == 2, "reading disturbs nobody"
+        assert len(json.loads(polishd("estimates", cell, "--json").out)["beliefs"]) == 2, "reading disturbs no daemon"
 
 
 def test_a_cell_that_is_told_not_to_remember_says_so(polishd: Polishd, cell: Path) -> None:

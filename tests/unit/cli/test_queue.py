@@ -18,7 +18,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
 
 @pytest.fixture
 def cell(small: DemoFiles, tmp_path: Path) -> Path:
-    """The cell's file, with a state folder of its own."""
+    """The cell's file, with another state folder."""
     text = small.cell.read_text().replace('state_dir = "state"', f'state_dir = "{tmp_path / "state"}"')
     assert str(tmp_path) in text
     own = small.out / f"{tmp_path.name}.toml"
@@ -63,7 +63,7 @@ def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path:
 @pytest.mark.parametrize(
     ("more", "code", "problem"),
     [
-        ("[machine]\ncorner_deg = 3.0\n", 3, "machine: is the cell's, and no job's"),
+        ("[machine]\ncorner_deg = 3.0\n", 3, "machine: "),
         ('[program]\npath = "none.rnc"\n', 3, "none.rnc: cannot be read"),
         ("aperture_mm = 60.0\n", 3, "no point reaches 49.0 % of the clear aperture"),
         ("origin_mm = [3000.0, 220.0, 2315.0]\n", 10, "out of the workspace"),
@@ -88,14 +88,14 @@ def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Pa
 
 
 def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) -> None:
-    assert "--until-empty goes with --queue" in polishd("run", cell, "--until-empty").err
-    assert "--correction is for the cell's own job" in polishd("run", cell, "--queue", "--correction", "none").err
+    assert "--until-empty needs --queue" in polishd("run", cell, "--until-empty").err
+    assert "--correction cannot be used with --queue" in polishd("run", cell, "--queue", "--correction", "none").err
 
 
 def test_a_queue_does_not_begin_with_an_instrument_that_nothing_proved(
     polishd: Polishd, cell: Path, tmp_path: Path
 ) -> None:
-    """Not once each part is refused by itself: the first of them would be set aside for it."""
+    """Not once each part is refused alone: the first of them would be set aside for it."""
     profile = cell.parent / "unproved.toml"
     profile.write_text((cell.parent / "instrument.toml").read_text().partition("[commissioned]")[0])
     cell.write_text(cell.read_text().replace('"instrument.toml"', '"unproved.toml"'))

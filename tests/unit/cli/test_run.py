@@ -1,4 +1,4 @@
-"""``polishd run`` at the terminal: how each end is told, of one cell and of several."""
+"""``polishd run`` at the terminal: how each end is shown, of one cell and of several."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_run(polishd: Polishd, files: DemoFiles, outcome: str, code: int, monkey
     assert (said.code, json.loads(said.out)["outcome"], seen) == (code, outcome, ["linear"])
     *_, tool, robot, folder, after = said.err.splitlines()
     assert [tool, robot, folder] == ["tool off the part: yes", "robot at rest: yes", "run folder: runs/demo"]
-    assert after.startswith("next: look at report.html")
+    assert after.startswith("next: read report.html")
 
 
 def test_the_last_lines_of_a_run_that_failed(
@@ -69,7 +69,7 @@ def test_the_last_lines_of_a_run_that_failed(
     assert lines[4].startswith("actuator did not confirm: no answer; the tool may press on the part: switch")
     assert lines[5].startswith("spindle did not confirm: dead; it may still turn: switch its drive off")
     assert lines[6] == "run folder: runs/demo"
-    assert f"polishd run {files.cell}; it comes up held, and polishd resume {files.cell}" in lines[7]
+    assert f"polishd run {files.cell} starts a daemon, which holds; polishd resume {files.cell}" in lines[7]
 
 
 CODES = {
@@ -96,7 +96,7 @@ def test_each_error_has_its_code(
     assert (said.code, said.out) == (code, "")
     assert said.err.splitlines()[-2:] == [
         "polishd: what, where, and what to do",
-        "this run opened nothing, and moved nothing",
+        "This run opened nothing and moved nothing",
     ]
 
 
@@ -134,7 +134,7 @@ def test_each_cell_is_named_and_the_worst_code_counts(
     assert {"bench-cell: SafetyStop: force", "other-cell: SafetyStop: force"} <= set(lines)
     last = lines[lines.index("polishd: bench-cell: why") :]
     assert last[1:3] == ["bench-cell: tool off the part: not confirmed", "bench-cell: robot at rest: yes"]
-    assert last[-2:] == ["polishd: other-cell: slow", "other-cell: this run opened nothing, and moved nothing"]
+    assert last[-2:] == ["polishd: other-cell: slow", "other-cell: This run opened nothing and moved nothing"]
 
 
 def test_a_fault_of_ours_is_one_cells_affair(polishd: Polishd, two: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_two_cells_have_two_state_folders(polishd: Polishd, two: list[str]) -> N
     lines = Path(two[0]).read_text().splitlines()
     line = next(n for n, text in enumerate(lines, 1) if text.startswith("state_dir"))
     assert said.code == 3
-    assert said.err.startswith(f"polishd: {two[0]}:{line}: cell.state_dir: is that of {two[0]}, too; give each cell")
+    assert said.err.startswith(f"polishd: {two[0]}:{line}: cell.state_dir: is also that of {two[0]}; give each cell")
 
 
 def test_the_worst_code() -> None:

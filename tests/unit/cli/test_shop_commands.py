@@ -30,7 +30,7 @@ class Office:
         assert done.exit_code == 0, done.output
         return done.stdout
 
-    def told(self, verb: str, *words: str) -> Any:
+    def printed(self, verb: str, *words: str) -> Any:
         return json.loads(self.say(verb, *words, "--json"))
 
     def job(self, name: str) -> str:
@@ -63,7 +63,7 @@ def test_tokens_are_shown_once_and_ended(office: Office) -> None:
 
 @pytest.mark.full
 def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office) -> None:
-    added = office.told("add", office.job("a"), office.job("b"), "--by", "ada")
+    added = office.printed("add", office.job("a"), office.job("b"), "--by", "ada")
     assert [(one["job"], one["state"], one["by"]) for one in added["parts"]] == [
         ("a", "waiting", "ada"),
         ("b", "waiting", "ada"),
@@ -74,11 +74,11 @@ def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office)
         parts.claim(sql, "north", "r1")
     assert "north is asked to give it back" in office.say("release", "a", "--by", "ada")
     listed = office.say("list")
-    assert "north is asked to give it back, by ada" in listed
+    assert "ada requested it back from north" in listed
     assert "a waits again" in office.say("release", "a", "--by", "ada", "--cell-is-gone")
     assert "b is out of the shop" in office.say("remove", "b", "--by", "ada", "--reason", "broken")
-    assert [one["state"] for one in office.told("list")["parts"]] == ["waiting", "removed"]
-    assert office.told("list")["words"][-1]["why"] == "broken"
+    assert [one["state"] for one in office.printed("list")["parts"]] == ["waiting", "removed"]
+    assert office.printed("list")["words"][-1]["why"] == "broken"
 
 
 def test_what_cells_do_did_and_have_learned_is_shown(office: Office) -> None:
@@ -92,7 +92,7 @@ def test_what_cells_do_did_and_have_learned_is_shown(office: Office) -> None:
     )  # fmt: skip
     with office.database() as database, database.transaction() as sql:
         feed.take(sql, "north", report)
-    (cell,) = office.told("status")["cells"]
+    (cell,) = office.printed("status")["cells"]
     assert (cell["cell"], cell["state"], cell["job"], cell["passes"], cell["away"]) == (
         "north", "polishing", "lens", 1, False,
     )  # fmt: skip
@@ -114,4 +114,4 @@ def test_a_cell_without_a_shop_has_no_link(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     done = CliRunner().invoke(app, ["shop", "connect", str(cell)])
     assert isinstance(done.exception, ConfigError)
-    assert "this cell belongs to no shop; add [shop]" in str(done.exception)
+    assert "shop: is missing; add [shop]" in str(done.exception)

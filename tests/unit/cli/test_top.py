@@ -1,4 +1,4 @@
-"""``polishd top`` and ``events``: what is old looks old, a lost daemon is said, and a line tells what happened."""
+"""``polishd top`` and ``events``: what is old looks old, a lost daemon is shown, and a line describes an event."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_silent_daemon_is_said_over_what_was_known(cell: Path, monkeypatch: py
     one = watched(cell, heard_s=60.0)
     monkeypatch.setattr(client, "request", silent)
     one.look()
-    assert "THE DAEMON DOES NOT ANSWER: no answer; what is shown is 40 s old" in shown(one)
+    assert "THE DAEMON DOES NOT ANSWER: no answer; these values are 40 s old" in shown(one)
 
 
 def test_without_a_daemon_it_says_how_the_last_one_ended(polishd: Polishd, cell: Path) -> None:

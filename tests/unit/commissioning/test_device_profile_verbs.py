@@ -44,7 +44,7 @@ def rms(height: FloatArray) -> float:
 
 
 class Desk:
-    """A cell whose instrument mirrors, says wavefronts, and has an error of its own; and the command line."""
+    """A cell whose instrument mirrors, says wavefronts, and has an error; and the command line."""
 
     def __init__(self, polishd: Polishd, folder: Path) -> None:
         self.run, self.folder = polishd, folder
@@ -58,8 +58,8 @@ class Desk:
         profile = load_profile(self.profile)
         source = MapSource.of(None, self.profile)
         one = source.read(self.raw)
-        told = AbsoluteTestResult(4, ((0, 0),), np.eye(1), {}, 0.0, (29.5, 23.5, 30.0))
-        options = {"profile": profile.instrument.name, "result": "instrument", "terms": told.facts()}
+        shown = AbsoluteTestResult(4, ((0, 0),), np.eye(1), {}, 0.0, (29.5, 23.5, 30.0))
+        options = {"profile": profile.instrument.name, "result": "instrument", "terms": shown.facts()}
         system = replace(one, height_nm=SYSTEM, history=MapStep("absolute", "0", options, ()))
         sha256 = store(system, self.folder / "system.x3p", source)["sha256"]
         at = datetime(2026, 5, 5, tzinfo=UTC)
@@ -180,11 +180,11 @@ def tif(desk: Desk, *how: Any) -> None:
     plain = desk.run("calibrate", "tif", before, after, "--seconds", "20", "--json").answer
     text = desk.profile.read_text()
     desk.profile.write_text(text[: text.index("[system]")])  # its frame is another
-    told = desk.run("calibrate", "tif", before, after, "--seconds", "20", "--json", *how).answer
-    assert told["volume_mm3_min"] == pytest.approx(FACTOR * plain["volume_mm3_min"], rel=0.02)
-    assert told["centroid_mm"][0] == pytest.approx(-plain["centroid_mm"][0], abs=0.05)
-    assert told["centroid_mm"][1] == pytest.approx(plain["centroid_mm"][1], abs=0.05)
-    assert told["read_by"]["profile"] == system.instrument.name
+    shown = desk.run("calibrate", "tif", before, after, "--seconds", "20", "--json", *how).answer
+    assert shown["volume_mm3_min"] == pytest.approx(FACTOR * plain["volume_mm3_min"], rel=0.02)
+    assert shown["centroid_mm"][0] == pytest.approx(-plain["centroid_mm"][0], abs=0.05)
+    assert shown["centroid_mm"][1] == pytest.approx(plain["centroid_mm"][1], abs=0.05)
+    assert shown["read_by"]["profile"] == system.instrument.name
     desk.profile.write_text(text)
     assert desk.run("calibrate", "tif", before, after, "--seconds", "20", *how).code == 8, "the system map's frame"
 

@@ -63,7 +63,7 @@ def test_a_whole_answer_gives_the_state(polishd: Polishd) -> None:
 @pytest.mark.parametrize(
     ("raw", "why"),
     [
-        ("force", "write NAME=WORDS"),
+        ("force", "write NAME=DATA"),
         ("forse=1", "the profile has no such register; it has command"),
         ("force=1 2", "it fills 1 registers, not 2"),
         ("force=twelve", "invalid literal"),
@@ -91,7 +91,7 @@ def test_templates_are_taken_and_say_what_to_do(polishd: Polishd, tmp_path: Path
     template = polishd("device", "new", kind, "--link", link).out
     (tmp_path / "mine.toml").write_text(template)
     warnings = polishd("device", "check", tmp_path / "mine.toml", "--json").answer["warnings"]
-    assert "it still says TODO" in warnings
+    assert "it still contains TODO" in warnings
 
 
 def test_a_broken_profile_is_told_with_its_place(polishd: Polishd, tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ LINE = SerialLine(Path(), 9600)
 
 
 class Mute(Peer):
-    """Nobody is there."""
+    """No device answers."""
 
     def on_bytes(self, data: bytes) -> None:
         pass
@@ -77,13 +77,13 @@ CIA402 = f'[spindle]\ntype = "cia402_spindle"\neds = "{EXAMPLES / "drive.eds"}"\
 NO_ANSWER = r"within [\d.]+ s at 9600 8N1; see whether it has power, and this baud rate"
 SILENT = r"within [\d.]+ s; see whether it has power, and this port"
 OTHER = "is it another device?"
-BUSY, NO_WAY = "another program has the port open; end it", "no permission to open the port; add the user to the group"
-GONE = "there is no such port; plug the adapter in, or mend the path"
+BUSY, NO_WAY = "another program has the port open", "no permission to open the port"
+GONE = "the port does not exist"
 
 
 @dataclass(frozen=True)
 class Case:
-    """A device section, what is at the other end, and what is said of it."""
+    """A device section, what is at the other end, and its message."""
 
     kind: str
     what: str
@@ -134,10 +134,10 @@ TCP = [
     Case("modbus tcp", "a web server", MODBUS, Web, "what answers there does not speak Modbus TCP"),
     Case("modbus tcp", "lines there", MODBUS, DRIVE, f"no answer {SILENT}"),
     Case("lines tcp", "Modbus there", LINES, COIL, rf"no answer to '\?' {SILENT}"),
-    Case("loader tcp", "nobody", LOADER, Mute, rf"no answer to ST\? {SILENT}"),
+    Case("loader tcp", "mute", LOADER, Mute, rf"no answer to ST\? {SILENT}"),
     Case("sensor tcp", "a web server", SENSOR, Web, rf"F\?: 'HTTP.*' within .* is no answer; {OTHER}"),
     Case("socketcand", "node", CIA402, on_can(9, SocketcandPeer), "node 5: .*; heard are nodes 9: see the node number"),
-    Case("socketcand", "nobody", CIA402, Mute, "no greeting within 1 s; is it a socketcand server"),
+    Case("socketcand", "mute", CIA402, Mute, "no greeting within 1 s; is it a socketcand server"),
 ]  # fmt: skip
 
 
@@ -159,12 +159,12 @@ def served(tmp_path: Path) -> Iterator[Served]:
 
 @dataclass(frozen=True)
 class Asked:
-    """``probe`` of a cell with one section of its own."""
+    """``probe`` of a cell with one changed section."""
 
     polishd: Polishd
     cell: Path
 
-    def told(self, section: str, address: str) -> str:
+    def shown(self, section: str, address: str) -> str:
         """What is wrong, which must be one line that names role and address, and the same for programs."""
         role = section[1:].partition("]")[0]
         rest = re.sub(rf"^\[{role}\].*\n(?:(?!\[).*\n)*", "", self.cell.read_text(), flags=re.MULTILINE)
@@ -172,13 +172,13 @@ class Asked:
         path.write_text(f'{rest}\n{section}\naddress = "{address}"\n')
         people, program = (self.polishd("probe", path, "--only", role, *more) for more in ((), ("--json",)))
         assert (people.code, program.code) == (5, 5), people
-        assert people.err == f"polishd: 1 of 1 devices did not answer as they should: {role}\n"
+        assert people.err == f"polishd: 1 of 1 devices failed: {role}. See the table above\n"
         (line,) = (line for line in people.out.splitlines() if line.startswith(f"{role}: "))
         said = line.removeprefix(f"{role}: ")
         assert said.startswith(address.partition("?")[0])
         assert len(said) < 250, said
-        told: dict[str, dict[str, str]] = json.loads(program.out)
-        assert re.sub(r"\d+ bytes", "", told[role]["error"]) == re.sub(r"\d+ bytes", "", said)
+        shown: dict[str, dict[str, str]] = json.loads(program.out)
+        assert re.sub(r"\d+ bytes", "", shown[role]["error"]) == re.sub(r"\d+ bytes", "", said)
         return said
 
 
@@ -193,7 +193,7 @@ def asked(polishd: Polishd, demo: Path) -> Asked:
 def test_a_wrong_serial_line_is_told_in_one_line(asked: Asked, served: Served, case: Case) -> None:
     path = served.serial(case.peer, LINE, case.true)
     scheme = f"slcan:{path}?baud=9600" if case.wire == "can" else f"serial:{path}?baud=9600"
-    assert re.search(case.says, asked.told(case.section, scheme))
+    assert re.search(case.says, asked.shown(case.section, scheme))
 
 
 @pytest.mark.full
@@ -202,7 +202,7 @@ def test_a_wrong_serial_line_is_told_in_one_line(asked: Asked, served: Served, c
 def test_a_wrong_peer_on_tcp_is_told_in_one_line(asked: Asked, served: Served, case: Case) -> None:
     where = f"127.0.0.1:{served.tcp(case.peer)}"
     address = f"socketcand://{where}/can0" if case.wire == "can" else f"tcp://{where}"
-    assert re.search(case.says, asked.told(case.section, address))
+    assert re.search(case.says, asked.shown(case.section, address))
 
 
 @pytest.mark.parametrize(
@@ -216,9 +216,9 @@ def test_a_port_that_does_not_open_is_told_in_one_line(
     scheme = "slcan" if section == CIA402 else "serial"
     path = served.serial(Mute, LINE, LINE)
     with serial.Serial(str(path), exclusive=True):
-        assert BUSY in asked.told(section, f"{scheme}:{path}")
-    assert GONE in asked.told(section, f"{scheme}:{tmp_path / 'none'}")
-    assert "it is no serial port" in asked.told(section, f"{scheme}:{asked.cell}")
+        assert BUSY in asked.shown(section, f"{scheme}:{path}")
+    assert GONE in asked.shown(section, f"{scheme}:{tmp_path / 'none'}")
+    assert "it is not a serial port" in asked.shown(section, f"{scheme}:{asked.cell}")
     opened = os.open
 
     def forbidden(name: str, *how: int, **more: int) -> int:
@@ -227,7 +227,7 @@ def test_a_port_that_does_not_open_is_told_in_one_line(
         return opened(name, *how, **more)
 
     monkeypatch.setattr(os, "open", forbidden)
-    assert NO_WAY in asked.told(section, f"{scheme}:{path}")
+    assert NO_WAY in asked.shown(section, f"{scheme}:{path}")
 
 
 def test_the_wrong_word_order_is_told_in_one_line(asked: Asked, served: Served, tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_the_wrong_word_order_is_told_in_one_line(asked: Asked, served: Served, 
     wrong.write_text(true.read_text().replace('word_order = "high_first"', 'word_order = "low_first"'))
     port = served.tcp(lambda: ProfiledPeer(true, gauge(lambda: 12.34), tcp=True))
     section = f'[force_sensor]\ntype = "force_sensor_profile"\nprofile = "{wrong}"'
-    said = asked.told(section, f"tcp://127.0.0.1:{port}")
+    said = asked.shown(section, f"tcp://127.0.0.1:{port}")
     assert said.endswith("see word order, scale and whether it is this device")
 
 

@@ -1,4 +1,4 @@
-"""A cell's name and state folder at a glance are those that its models read; what is wrong is said by these."""
+"""A cell's name and state folder are read as by its models, whose errors it raises."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_no_extreme_value_of_any_key_ends_in_a_traceback(kind: tuple[Path, Load]
     ("key", "value", "said"),
     [
         ("grid_mm", "1e-9", "process.grid_mm: 1e-09 is out of range; must be at least 0.01"),
-        ("grid_mm", "0.01", "process.grid_mm: 0.01 mm makes a grid of 1e+08 cells over 100 mm x 100 mm, at most"),
+        ("grid_mm", "0.01", "process.grid_mm: 0.01 mm makes a grid of 1e+08 cells over 100 mm x 100 mm; at most"),
         ("force_n", "1e-9", "process.force_n: 1e-09 is out of range; must be at least 0.01"),
         ("tool_radius_mm", "1e-300", "process.tool_radius_mm: 1e-300 is too small; give at least 1e-12"),
         ("aperture_mm", "1e9", "part.aperture_mm: 1000000000.0 is out of range; must be at most 5000.0"),
@@ -158,4 +158,4 @@ def test_a_computer_without_the_memory_says_so(
     (tmp_path / "cell.toml").write_text(example)
     found = polishd("check", tmp_path / "cell.toml")
     assert found.code == 10
-    assert "this computer has too little memory: Unable to allocate 820. GiB for an array. Check sizes" in found.err
+    assert "not enough memory: Unable to allocate 820. GiB for an array. Check sizes" in found.err

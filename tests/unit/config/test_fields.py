@@ -1,4 +1,4 @@
-"""The keys of [part] that say its outline: one of them, right by itself, with the place of what is wrong."""
+"""The keys of [part] that say its outline: one of them, valid alone, with the location of an error."""
 
 from __future__ import annotations
 
@@ -43,24 +43,33 @@ def test_one_key_says_the_outline(tmp_path: Path, said: str, outline: Outline) -
 @pytest.mark.parametrize(
     ("said", "says"),
     [
-        ("rectangle_mm = [40.0, 24.0]\naperture_mm = 30.0", "part.rectangle_mm: aperture_mm says the part's outline"),
+        (
+            "rectangle_mm = [40.0, 24.0]\naperture_mm = 30.0",
+            "part.rectangle_mm: aperture_mm defines the part's outline",
+        ),
         ("rectangle_mm = [40.0, -1]", "part.rectangle_mm: -1 is out of range; must be at least 0.1"),
-        ("rectangle_mm = [40.0, 24.0]\nhole_mm = 5.0", "part.hole_mm: goes with aperture_mm, not with rectangle_mm"),
+        ("rectangle_mm = [40.0, 24.0]\nhole_mm = 5.0", "part.hole_mm: needs aperture_mm, not rectangle_mm"),
         ("aperture_mm = 100.0\nhole_mm = 100.0", "part.hole_mm: the outline's hole is 100 mm wide; it must be less"),
         (
             "aperture_mm = 100.0\nhole_mm = 94.0",
-            "part.edge_mm: no clear aperture is left: the part's middle lies 1.5 mm",
+            "part.edge_mm: no clear aperture is left: the part's center is 1.5 mm",
         ),
         ("rectangle_mm = 40.0", "part.rectangle_mm: must be a list [...], not 40.0"),
         ("hexagon_mm = 0", "part.hexagon_mm: 0 is out of range"),
         ("polygon_mm = [[1, 1], [-1, 1]]", "part.polygon_mm: a polygon has 3 to 500 corners, not 2"),
         ("polygon_mm = [[9, 9], [-9, -9], [9, -9], [-9, 9]]", "part.polygon_mm: the sides of the polygon that begin"),
-        ("polygon_mm = [[9, 9], [1, 9], [1, 1], [9, 1]]", "part.polygon_mm: the part's centre, x 0 and y 0, lies out"),
+        (
+            "polygon_mm = [[9, 9], [1, 9], [1, 1], [9, 1]]",
+            "part.polygon_mm: the part's center, x 0 and y 0, lies outside",
+        ),
         (
             "rectangle_mm = [40.0, 6.0]",
-            "part.edge_mm: no clear aperture is left: the part's middle lies 3 mm from its rim",
+            "part.edge_mm: no clear aperture is left: the part's center is 3 mm from its rim",
         ),
-        ("hexagon_mm = 30\ncurvature_radius_mm = 17.0", "part.curvature_radius_mm: 17 mm is no surface of 34.641 mm"),
+        (
+            "hexagon_mm = 30\ncurvature_radius_mm = 17.0",
+            "part.curvature_radius_mm: 17 mm is too small for an aperture of 34.641 mm",
+        ),
         ('polygon_file = "none.csv"', "part.polygon_file: "),
     ],
 )
@@ -76,7 +85,7 @@ def test_what_a_file_of_corners_has_wrong_is_said_with_its_line(tmp_path: Path) 
     config = cell(tmp_path, 'polygon_file = "corners.csv"')
     for content, says in (
         ("x_mm,y_mm\n9,9\n-9,9\nx,-9\n", f"part.polygon_file: {tmp_path}/corners.csv:4: x_mm is 'x'"),
-        ("x_mm,y_mm\n9,9\n1,9\n1,1\n9,1\n", "part.polygon_file: the part's centre, x 0 and y 0, lies outside"),
+        ("x_mm,y_mm\n9,9\n1,9\n1,1\n9,1\n", "part.polygon_file: the part's center, x 0 and y 0, lies outside"),
         ("x_mm,y_mm\n9,2\n-9,2\n-9,-2\n9,-2\n", "part.edge_mm: no clear aperture is left"),
     ):
         (tmp_path / "corners.csv").write_text(content)
@@ -102,5 +111,5 @@ def test_a_jobs_outline_takes_the_place_of_the_cells(tmp_path: Path) -> None:
 def test_a_simulated_part_is_round_unless_another_key_says_it() -> None:
     assert Plant().outline == Circle(50.0)
     assert Plant(rectangle_mm=(40.0, 24.0)).outline == rectangle(40, 24)
-    with pytest.raises(ValueError, match="aperture_mm says the part's outline already"):
+    with pytest.raises(ValueError, match="aperture_mm defines the part's outline already"):
         Plant(aperture_mm=30.0, hexagon_mm=30.0)

@@ -73,7 +73,9 @@ def test_its_paths_start_from_its_own_folder(cell: CellConfig, tmp_path: Path) -
 @pytest.mark.parametrize("section", [name for name in OF_THE_CELL if name != "include"])
 def test_what_is_the_cells_is_refused_by_its_line(cell: CellConfig, tmp_path: Path, section: str) -> None:
     said = refused(cell, job_file(tmp_path, f"{JOB}[{section}]\nx = 1\n"))
-    assert said.startswith(f"JOB:{JOB.count(chr(10)) + 1}: {section}: is the cell's, and no job's; a job has sections ")
+    assert said.startswith(
+        f"JOB:{JOB.count(chr(10)) + 1}: {section}: belongs into the cell's file; a job has sections "
+    )
     assert "'dwell'" in said
 
 
@@ -98,14 +100,15 @@ def test_a_job_that_says_both_forms_is_refused_by_its_line(cell: CellConfig, tmp
 
 
 def test_it_includes_nothing(cell: CellConfig, tmp_path: Path) -> None:
-    assert refused(cell, job_file(tmp_path, 'include = ["a.toml"]\n' + JOB)).startswith("JOB:1: include: is the cell's")
+    said = refused(cell, job_file(tmp_path, 'include = ["a.toml"]\n' + JOB))
+    assert said.startswith("JOB:1: include: belongs into the cell's file")
 
 
 def test_each_job_says_its_name_and_its_part(cell: CellConfig, tmp_path: Path) -> None:
     said = refused(cell, job_file(tmp_path, "[job]\ntolerance_nm = 3.0\n"))
     assert said.splitlines() == [
-        "JOB:1: job.id: is missing; add it: id = ... (each job says its own)",
-        "JOB:1: part.id: is missing; add it: id = ... (each job says its own)",
+        "JOB:1: job.id: is missing; add it: id = ...",
+        "JOB:1: part.id: is missing; add it: id = ...",
     ]
 
 

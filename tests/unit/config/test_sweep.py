@@ -112,7 +112,7 @@ def test_lists_are_drawn_from_and_numbers_go_on(tmp_path: Path) -> None:
 def test_a_pair_is_a_range_of_no_width(tmp_path: Path) -> None:
     axis = "{ uniform = [30.0, 60.0], pair = true }"
     path = study(tmp_path, f'how = "drawn"\ndraws = 2\nover."surface.period_mm" = {axis}')
-    with pytest.raises(ConfigError, match=r"sweep\.group\.over\.surface\.period_mm: .* is no range"):
+    with pytest.raises(ConfigError, match=r"sweep\.group\.over\.surface\.period_mm: .* is not a range"):
         load_swept(path)
 
 
@@ -132,7 +132,7 @@ def test_keys_of_loops_have_dots_of_their_own() -> None:
     raw: dict[str, Any] = {"cell_with": {"a": 1}}
     put(raw, "cell_with.process.force_n", 12.0)
     assert raw == {"cell_with": {"a": 1, "process.force_n": 12.0}}
-    with pytest.raises(ConfigError, match="'title' is no section"):
+    with pytest.raises(ConfigError, match="'title' is not a section"):
         put({"title": "t"}, "title.x", 1)
 
 
@@ -140,26 +140,26 @@ REFUSED = {
     'over."process.forc_n" = [12.0]': "process.forc_n: unknown key; did you mean 'force_n'?",
     'over."odd.key" = [12.0]': "odd.key: unknown key",
     'over."process.force_n" = []': "process.force_n: is empty; give at least one value",
-    'over."process.force_n" = { uniform = [2.0, 2.0] }': "process.force_n.uniform: [2.0, 2.0] is no range",
+    'over."process.force_n" = { uniform = [2.0, 2.0] }': "process.force_n.uniform: [2.0, 2.0] is not a range",
     'over."process.force_n" = ["x"]': "process.force_n: must be a number, not the string 'x'",
     'over."process.force_n" = [12.0, 900.0]': "process.force_n: 900.0 is out of range; must be at most 500.0",
-    'over."process.force_n" = { uniform = [2.0, 3.0] }': 'process.force_n: uniform is drawn; say how = "drawn"',
-    'over."process.force_n" = { linear = [2.0, 3.0] }': "count goes with linear and log, and they need it",
+    'over."process.force_n" = { uniform = [2.0, 3.0] }': "process.force_n: uniform needs draws",
+    'over."process.force_n" = { linear = [2.0, 3.0] }': "linear and log need count",
     'over."process.force_n" = { linear = [2.0, 3.0], count = 2, values = [1.0] }': "has values and linear; give one of",
-    'over."process.force_n" = { log = [0.0, 3.0], count = 2 }': "log begins at 0; it must be above 0",
+    'over."process.force_n" = { log = [0.0, 3.0], count = 2 }': "log starts at 0",
     'over."process.force_n" = { lognormal = [0.0, 1.0] }': "the median of lognormal is 0; it must be above 0",
     'over."process.force_n" = { normal = [12.0, 0.0] }': "the standard deviation of normal is 0; it must be above 0",
     'over."process.force_n" = { odd = 1 }': "unknown key",
-    'over."surface.file" = { files = "maps/*.dat" }': "surface.file: maps/*.dat: no file is there",
-    'over."kind" = ["spots"]': "kind: no case has its own",
-    'how = "drawn"\nover."process.force_n" = [12.0]': "draws: is missing; add it",
-    'draws = 3\nover."process.force_n" = [12.0]': 'draws: goes with how = "drawn" and "latin"; drop it',
+    'over."surface.file" = { files = "maps/*.dat" }': "surface.file: maps/*.dat: no file",
+    'over."kind" = ["spots"]': "kind: is the same for all cases",
+    'how = "drawn"\nover."process.force_n" = [12.0]': "draws: is missing",
+    'draws = 3\nover."process.force_n" = [12.0]': "draws: ",
     'how = "zipped"\nover."process.force_n" = [1.0, 2.0]\nover."process.rpm" = [1.0]': "process.rpm: has 1 values, and",
     'how = "odd"\nover."process.force_n" = [12.0]': "how: 'odd' is not allowed",
-    'over."process.force_n" = 3': "process.force_n: is one value, 3; give a list, or a table",
+    'over."process.force_n" = 3': "process.force_n: must have several values, not 3",
     'over."process.force_n" = [nan]': "process.force_n: nan is not allowed; must be a finite number",
     'over."process.force_n" = { normal = [12.0, -0.5] }': "standard deviation of normal is -0.5; it must be above 0",
-    'over."controllers.other.process.force_n" = [12.0]': "the study has no loop 'other', only none; mend the name",
+    'over."controllers.other.process.force_n" = [12.0]': "the study has no loop 'other', only none",
     "over = {}": "over: has 0 entries",
 }
 
@@ -177,7 +177,7 @@ def test_what_cannot_be_is_refused_at_its_line(tmp_path: Path, group: str, said:
 
 def test_what_a_point_cannot_be_as_a_whole_says_for_which_point(tmp_path: Path) -> None:
     path = study(tmp_path, 'over."path.step_mm" = [1.0, 0.001]')
-    with pytest.raises(ConfigError, match=r"path: .* can be studied \(where path\.step_mm = 0\.001\)"):
+    with pytest.raises(ConfigError, match=r"path: .* can be computed \(with path\.step_mm = 0\.001\)"):
         load_swept(path)
 
 

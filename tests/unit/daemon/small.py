@@ -76,7 +76,7 @@ JOB = JobSection(id="small", tolerance_nm=0.5, lsf_period_mm=10.0)
 
 
 def small_recipe(**changes: Any) -> Recipe:
-    """The recipe, with changes: of its own fields, or else of keys of its sections."""
+    """Return the recipe with changed fields or keys of its sections."""
     recipe = Recipe(
         part=PART,
         outline=Circle(APERTURE_MM / 2),
@@ -151,15 +151,15 @@ def accept(plan: Plan, limits: Envelope) -> Sequence[str]:
 def small_job(
     tmp_path: Path, journal: Journal, *, recipe: Recipe | None = None, program: Program | None = None, **changes: Any
 ) -> Job:
-    """A job of that recipe; ``job.told`` are its events."""
+    """A job of that recipe; ``job.published`` are its events."""
     folder = RunFolder(tmp_path / "run")
     folder.create()
-    told: list[Event] = []
+    published: list[Event] = []
     values: dict[str, Any] = {
         "journal": journal,
         "folder": folder,
         "compute": compute,
-        "publish": told.append,
+        "publish": published.append,
         "check_plan": accept,
         "max_cycles": 3,
         "stream_ahead_s": 8.0,
@@ -167,7 +167,7 @@ def small_job(
     contact = changes.pop("contact", LIMITS)
     one = (ToolStepState(recipe or small_recipe(), program or small_program(), contact),)
     job = Job(ToolSequence(changes.pop("turns", one), journal), **(values | changes))
-    job.told = told  # type: ignore[attr-defined]
+    job.published = published  # type: ignore[attr-defined]
     return job
 
 

@@ -158,10 +158,10 @@ def test_a_cell_with_two_robots_is_accepted(tmp_path: Path, hooks: Hooks) -> Non
     path.write_text(small.replace("[process]", "[process]\ngrid_mm = 2.0"))
     config = load_config(path)
     config.program_path.write_bytes(demo_program(config))
-    told: list[str] = []
-    facts = checks.check_cell(config, hooks, told.append)
-    assert told[:2] == ["part, tool and instrument", "devices and their time limits"]
-    assert [one.partition(" ")[0] for one in told[2:]] == ["reading", "reach"]
+    steps: list[str] = []
+    facts = checks.check_cell(config, hooks, steps.append)
+    assert steps[:2] == ["part, tool and instrument", "devices and their time limits"]
+    assert [one.partition(" ")[0] for one in steps[2:]] == ["reading", "reach"]
     assert facts["devices"] == (
         "actuator.left, actuator.right (not used by this job), robot.left, robot.right (not used by this job), "
         "spindle.left, spindle.right (not used by this job), metrology"
@@ -348,7 +348,7 @@ def test_an_edited_profile_is_refused_and_check_says_so(configured: Any, hooks: 
     config.program_path.write_bytes(demo_program(config))
     found = checks.check_cell(config, hooks)
     assert "run will refuse" in found["instrument"]
-    assert found["accepted"].startswith("as measured: nothing is known of the instrument's own error")
+    assert found["accepted"].startswith("as measured: the instrument's error is not known")
 
 
 def test_a_cell_without_a_profile_is_refused(configured: Any, hooks: Hooks) -> None:

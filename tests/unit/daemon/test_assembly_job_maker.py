@@ -28,7 +28,7 @@ async def test_one_that_is_given_back_while_its_program_is_read_is_no_job_of_thi
     """Its part may be another cell's by then: the shop would know of two cells that have begun it."""
     with Journal.of_cell(tmp_path) as journal:
         queue = queue_of(journal)
-        with pytest.raises(ConfigError, match="'a' was taken out of the queue"):
+        with pytest.raises(ConfigError, match="'a' was removed from the queue"):
             await made(journal, queue, monkeypatch, lambda: queue.remove("a", "given back to the shop"))
         assert journal.store.read("SELECT count(*) FROM job") == [(0,)]
 

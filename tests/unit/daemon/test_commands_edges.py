@@ -17,7 +17,7 @@ def verbs(*orders: OperatorCommand) -> list[StateEvent]:
 
 async def test_only_stop_ends_the_opening_and_all_orders_stay_as_they_came() -> None:
     orders = OperatorCommandQueue()
-    opening = asyncio.ensure_future(orders.asked_to_stop())
+    opening = asyncio.ensure_future(orders.stop_command())
     orders.give(OperatorCommand(StateEvent.HOLD))
     orders.give(OperatorCommand(StateEvent.RESUME))
     for _ in range(4):
@@ -31,7 +31,7 @@ async def test_only_stop_ends_the_opening_and_all_orders_stay_as_they_came() -> 
 async def test_orders_that_came_while_the_cell_was_opened_come_next() -> None:
     orders = OperatorCommandQueue()
     orders.give(OperatorCommand(StateEvent.HOLD))
-    opening = asyncio.ensure_future(orders.asked_to_stop())
+    opening = asyncio.ensure_future(orders.stop_command())
     for _ in range(4):
         await asyncio.sleep(0)
     opening.cancel()
@@ -49,13 +49,13 @@ async def test_to_go_on_ends_no_work_and_is_not_kept_for_later() -> None:
 @pytest.mark.parametrize(("reason", "said"), [("", "held"), ("tea", "held: tea")])
 def test_what_is_said_of_an_order(reason: str, said: str) -> None:
     order = OperatorCommand(StateEvent.HOLD, reason)
-    assert order.said("held") == said
+    assert order.describe("held") == said
     assert not order.refused
     assert not order.taken
 
 
 async def test_the_end_of_any_work_that_is_done_beside_it_ends_the_first_and_no_order_came() -> None:
-    """Of several works the end of one is told by the first: it was cancelled, or came to its end."""
+    """The first of several works decides: it was cancelled, or came to its end."""
     orders, ended = OperatorCommandQueue(), []
 
     async def first() -> None:
@@ -101,4 +101,4 @@ async def test_where_taking_an_order_fails_too_the_more_telling_error_is_told() 
 
 
 def test_an_order_needs_no_reason() -> None:
-    assert OperatorCommand(StateEvent.STOP).said("stopped") == "stopped"
+    assert OperatorCommand(StateEvent.STOP).describe("stopped") == "stopped"

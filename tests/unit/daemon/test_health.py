@@ -74,7 +74,7 @@ async def test_a_disk_that_fills_up_in_contact_is_left_before_it_is_full(bench: 
         assert reason.startswith("HostFault: state_disk_mb 100, at least 128")
         assert "make room on the disk of" in reason
         assert "pass 0 was interrupted" in reason
-        (held,) = (event for event in running.told if isinstance(event, CellHeld))
+        (held,) = (event for event in running.published if isinstance(event, CellHeld))
         assert held.kind == "HostFault"
         with pytest.raises(DeviceRefused, match="the cell stays held: HostFault: state_disk_mb 100"):
             await running.daemon.handlers["resume"]()
@@ -164,8 +164,8 @@ async def test_a_loop_that_is_late_twice_in_contact_is_no_loop_to_press_with(ben
         while running.daemon.state == "polishing":  # it is cleared when contact begins
             lags.append((time.monotonic(), 0.6))
             await asyncio.sleep(0)
-        told = await lifted_and_held(running)
-        assert re.match(r"HostFault: loop_lag_s 0\.[56]\d*, at most 0\.5: too much else runs", told), told
+        reason = await lifted_and_held(running)
+        assert re.match(r"HostFault: loop_lag_s 0\.[56]\d*, at most 0\.5: too much else runs", reason), reason
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE, "out of contact the loop may have been late"
 
@@ -198,15 +198,15 @@ async def test_while_it_is_held_every_device_is_asked_now_and_then(bench: Bench)
     async with Running(bench) as running:
         await running.in_contact()
         await running.daemon.handlers["hold"]()
-        fake.cell.heard_s.clear()
+        fake.cell.answered_s.clear()
         fake.spindle.acts.fails["status"] = LinkError("gone")
         asked = len(fake.events)
-        while "metrology" not in fake.cell.heard_s:
+        while "metrology" not in fake.cell.answered_s:
             fake.clock.advance(1.0)
             await asyncio.sleep(0)
         assert fake.events[asked:] == [f"{name}.status" for name in fake.cell.devices]
         assert running.daemon.state == "held"
-        assert set(fake.cell.heard_s) == {"actuator", "robot", "metrology"}
+        assert set(fake.cell.answered_s) == {"actuator", "robot", "metrology"}
 
 
 def test_a_figure_says_its_limit() -> None:

@@ -62,8 +62,8 @@ class Hall:
         self.refused: dict[str, PolishdError] = {}
         """Jobs that cannot begin."""
         self.taken_out: set[str] = set()
-        """Jobs that somebody takes out while they are made ready."""
-        self.told: list[Event] = []
+        """Jobs that an operator removes while they are prepared."""
+        self.published: list[Event] = []
         self.polished: list[str] = []
         self.queue = Queue(journal.store)
 
@@ -104,7 +104,7 @@ class Hall:
 
     async def build(self, **options: Any) -> None:
         self.jobs = QueuedJobs(self.journal, self.make)
-        self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.told.append))
+        self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.published.append))
         await self.jobs.resume()
         requests = QueueRequests(None, self.jobs.queue, self.jobs.added)  # type: ignore[arg-type]
         self.queue = self.jobs.queue
@@ -144,7 +144,7 @@ class Hall:
         return {entry.name: entry.state for entry in self.queue.entries()}
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        return [dict(event.data) for event in self.told if event.name == name]
+        return [dict(event.data) for event in self.published if event.name == name]
 
 
 @pytest.fixture
@@ -249,7 +249,7 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
     for name in ("a", "b"):
         await hall.until("changing")
         status = await hall.order("status")
-        assert status["reason"] == f"{name}: a person is to put part 'P-{name}' in"
+        assert status["reason"] == f"{name}: an operator has to put part 'P-{name}' in"
         assert "polishd resume" in status["next"]
         assert hall.polished == ["a"] * (name == "b")
         await hall.order("resume")
@@ -260,7 +260,7 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
 
 async def test_without_a_loader_nobody_is_waited_for_where_nobody_is(hall: Hall) -> None:
     hall.add("a")
-    with pytest.raises(DeviceRefused, match="put part 'P-a' in, and --no-hold waits for none"):
+    with pytest.raises(DeviceRefused, match="put part 'P-a' in, but --no-hold"):
         await hall.run(holds=False)
     assert hall.verdicts() == {"a": "under way"}
 
@@ -603,7 +603,7 @@ async def test_a_job_under_way_is_not_taken_out_while_it_is_worked(hall: Hall) -
     hall.ends["a"] = [never]
     await hall.start()
     await hall.until("polishing")
-    with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is polishing: hold the cell first"):
+    with pytest.raises(DeviceRefused, match=r"'a' is under way, and the cell is polishing\. Hold the cell first"):
         await hall.order("queue_remove", job="a")
     assert (await hall.order("queue_remove", job="b"))["jobs"][0]["state"] == "removed"
     await hall.order("hold")
@@ -617,7 +617,7 @@ async def test_idle_it_can_be_held(hall: Hall) -> None:
     hall.fake.with_loader()
     await hall.start()
     await hall.until("idle")
-    assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by order: cleaning"
+    assert (await hall.order("hold", reason="cleaning"))["reason"] == "held by command: cleaning"
     hall.add("a")
     hall.jobs.added()
     assert (await hall.order("resume"))["state"] != "held"
@@ -631,7 +631,7 @@ async def test_a_job_is_not_taken_out_while_it_is_made_ready(hall: Hall, monkeyp
 
     async def slow(entry: QueueEntry, *rest: Any) -> tuple[Job, RunFolder]:
         found = await make(entry, *rest)
-        with pytest.raises(DeviceRefused, match="'a' is under way, and the cell is idle: hold the cell first"):
+        with pytest.raises(DeviceRefused, match=r"'a' is under way, and the cell is idle\. Hold the cell first"):
             await hall.order("queue_remove", job="a")
         return found
 
@@ -667,7 +667,7 @@ async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
     answer = await hall.order("hold")
     assert "polishd run CELL.toml --queue" in answer["next"]
     assert answer["next"] == hall.events("state_changed")[-1]["next"] == (await hall.order("status"))["next"]
-    assert "--queue --queue" not in hall.daemon.last_words(Outcome.STOPPED, None)["next"]
+    assert "--queue --queue" not in hall.daemon.exit_facts(Outcome.STOPPED, None)["next"]
     await hall.end()
 
 
@@ -692,7 +692,7 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
     assert (hall.tmp_path / "runs" / "a" / "journal.sqlite").exists()
     assert [event["outcome"] for event in hall.events("run_folder_completed")] == [outcome]
     assert [event["outcome"] for event in hall.events("queue_stopped")] == ["stopped"] * (ends is None)
-    concerns = [event for event in hall.told if event.name in {"queue_stopped", "daemon_failed"}]
+    concerns = [event for event in hall.published if event.name in {"queue_stopped", "daemon_failed"}]
     assert [concern.severity for event in concerns if (concern := event.concern())] == [
         Severity.INFO if ends is None else Severity.ALARM
     ]
@@ -701,14 +701,14 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hal
 # over restarts
 
 
-@pytest.mark.parametrize("why", ["gate", "gate, and nobody is there", "order"])
+@pytest.mark.parametrize("why", ["gate", "gate, unattended", "order"])
 async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None:
     hall.add(*"ab" if why != "order" else "").fake.with_loader()
     hall.ends["a"] = [RemovalCheckStop("turned")]
-    if "nobody" in why:
+    if "unattended" in why:
         with pytest.raises(RemovalCheckStop):
             await hall.run(holds=False)
-        reason = "the queue stopped: instrument or alignment is wrong, and would be for the next part, too; "
+        reason = "the queue stopped: instrument or alignment is wrong, also for the next part; "
         reason += "a was set aside: RemovalCheckStop: turned"
     else:
         await hall.start()
@@ -767,7 +767,7 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
     hall.add("a")
     hall.queue.begin(hall.queue.to_do()[0], hall.journal.of_job("a", "P-a", {}).number)
     hall.refused["a"] = ConfigError("cell.toml:3: part.edge_mm: is 5")
-    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*put it aside: polishd queue remove CELL.toml a"):
+    with pytest.raises(ConfigError, match=r"(?s)edge_mm.*set it aside: polishd queue remove CELL.toml a"):
         await hall.start()
     assert hall.fake.events == []
 

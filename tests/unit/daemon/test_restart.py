@@ -56,7 +56,7 @@ class Rerun(Site):
         return as_map(height)
 
     def learned(self) -> list[tuple[int | None, float]]:
-        return [(event.cycle, event.data["rate"]) for event in self.told if event.name == "estimates_updated"]
+        return [(event.cycle, event.data["rate"]) for event in self.published if event.name == "estimates_updated"]
 
     def arrays(self, table: str, column: str) -> list[str]:
         """Names in the store, in the order of the cycles."""
@@ -75,13 +75,13 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rerun:
 
 async def until_held(site: Rerun) -> None:
     """pytest's timeout is the limit."""
-    while not any(event.name == "state_changed" and event.data["state"] == "held" for event in site.told):  # noqa: ASYNC110
+    while not any(event.name == "state_changed" and event.data["state"] == "held" for event in site.published):  # noqa: ASYNC110
         await asyncio.sleep(0.01)
 
 
 async def resumed(site: Rerun, meanwhile: Any = lambda: None) -> dict[str, Any]:
     """The daemon comes up held, something happens, and a person resumes."""
-    site.told.clear()
+    site.published.clear()
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))
         await until_held(site)
@@ -170,7 +170,7 @@ async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_
     name = site.arrays("map" if what == "arrays" else "pass", what)[0]
     path = site.config.state_dir / "store" / f"{name}.npz"
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(ConfigError, match=rf"{name}\.npz: is not what the journal names"):
+    with pytest.raises(ConfigError, match=rf"{name}\.npz: the content has another hash"):
         await run_cell(site.config, site.hooks)
     assert site.bench is not None
     assert site.bench.fake.events == []
@@ -179,7 +179,7 @@ async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_
 async def test_another_edge_is_refused_before_anything_is_opened(site: Rerun) -> None:
     await stopped_after_a_pass(site)
     site.part["edge_mm"] = 3.5
-    with pytest.raises(ConfigError, match=r"part.edge_mm: is 3.5, the job 'small' was begun with 2.0\n"):
+    with pytest.raises(ConfigError, match=r"part.edge_mm: is 3.5, the job 'small' began with 2.0\n"):
         await run_cell(site.config, site.hooks)
     assert site.bench is not None
     assert site.bench.fake.events == []

@@ -24,7 +24,7 @@ from tests.unit.daemon.test_app import CLOSED, SAFE, Site
 
 
 class Sites:
-    """Two of them, which ``run_cells`` tells apart by their configs."""
+    """Two sites, which ``run_cells`` distinguishes by their configs."""
 
     def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         journal = app._journal
@@ -73,13 +73,13 @@ async def test_each_cell_has_a_job_of_its_own(sites: Sites) -> None:
     for site, found in zip(sites.all, ended, strict=True):
         assert found["outcome"] == "in_tolerance"
         assert site.summary() == json.loads(json.dumps(found))
-        folders = [line["event"]["data"]["run_dir"] for line in logged(site) if line["message"] == "measured"]
+        folders = [line["event"]["data"]["run_dir"] for line in logged(site) if line["message"] == "map_measured"]
         assert set(folders) == {str(site.config.run_dir)}
-        assert [event.name for event in site.told].count("run_folder_completed") == 1
+        assert [event.name for event in site.published].count("run_folder_completed") == 1
 
 
 def no_spindle(bench: Any) -> None:
-    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody answers")
+    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: no answer")
 
 
 def no_run_folder(bench: Any) -> None:
@@ -181,19 +181,19 @@ async def test_a_signal_stops_all_safely(sites: Sites) -> None:
 def test_who_comes_after_the_signal_is_stopped_too() -> None:
     stopped: list[str] = []
 
-    class Told:
+    class Daemon:
         def __init__(self, name: str) -> None:
             self.name = name
 
         def stop(self) -> None:
             stopped.append(self.name)
 
-    stopping = ShutdownRequest(SystemdNotifier())
-    with stopping.telling(Told("early")):  # type: ignore[arg-type]
-        stopping.ask()
-        with stopping.telling(Told("late")):  # type: ignore[arg-type]
+    shutdown = ShutdownRequest(SystemdNotifier())
+    with shutdown.stopping(Daemon("early")):  # type: ignore[arg-type]
+        shutdown.request()
+        with shutdown.stopping(Daemon("late")):  # type: ignore[arg-type]
             assert stopped == ["early", "late"]
-    stopping.ask()
+    shutdown.request()
     assert stopped == ["early", "late"], "they have ended"
 
 

@@ -39,7 +39,7 @@ def test_a_lock_that_has_no_room_for_its_pid(tmp_path: Path, monkeypatch: pytest
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(ConfigError, match=r"the state folder cannot be used: No space left on device; mend it, or"):
+    with pytest.raises(ConfigError, match=r"the state folder cannot be used: No space left on device\. Repair it, or"):
         locked(tmp_path).__enter__()
     monkeypatch.undo()
     with locked(tmp_path):
@@ -55,7 +55,7 @@ async def test_a_log_that_cannot_be_written(site: Rerun) -> None:
 
 async def test_a_run_folder_that_cannot_be_written_refuses_a_new_job(site: Rerun) -> None:
     site.config.run_dir.write_text("a file")
-    with pytest.raises(ConfigError, match=r"the run folder cannot be written: .*; mend it, or name another"):
+    with pytest.raises(ConfigError, match=r"the run folder cannot be written: .*\. Correct its permissions"):
         await run_cell(site.config, site.hooks)
     assert moved_nothing(site)
 
@@ -73,7 +73,7 @@ async def test_a_run_folder_that_cannot_be_written_does_not_end_a_job_that_was_b
 
 @pytest.mark.parametrize(
     ("code", "advice"),
-    [("SQLITE_FULL", "leave the file"), ("SQLITE_IOERR_WRITE", "leave the file"), ("SQLITE_CORRUPT", "move the file")],
+    [("SQLITE_FULL", "Leave the file"), ("SQLITE_IOERR_WRITE", "Leave the file"), ("SQLITE_CORRUPT", "Move the file")],
 )
 def test_a_journal_is_moved_aside_only_where_it_is_none(tmp_path: Path, code: str, advice: str) -> None:
     class Broken:
@@ -88,7 +88,7 @@ def test_a_journal_is_moved_aside_only_where_it_is_none(tmp_path: Path, code: st
         def close(self) -> None:
             pass
 
-    with pytest.raises(ConfigError, match=f"the journal cannot be used: what sqlite says; {advice}"):
+    with pytest.raises(ConfigError, match=f"the journal cannot be used: what sqlite says. {advice}"):
         Journal.open(tmp_path, job="small", part_id="P-1", connect=lambda _: Broken())  # type: ignore[arg-type,return-value]
 
 

@@ -9,5 +9,5 @@ from polishd.daemon.state_machine import TRANSITIONS, StateTransition, following
 
 @pytest.mark.parametrize("row", TRANSITIONS)
 def test_each_way_leads_where_it_says(row: StateTransition) -> None:
-    assert following(row.source, row.trigger) is row.target, "a person is there, where nobody says otherwise"
+    assert following(row.source, row.trigger) is row.target, "attended is the default"
     assert following(row.source, row.trigger, unattended=True) is (row.unattended or row.target)

@@ -81,10 +81,10 @@ def test_on_a_curved_part_they_lie_on_its_surface(cell: Cell, hooks: Hooks) -> N
         ({"touch_off": {"force_n": 1.2}}, "touch_off.force_n"),
         ({"program": {"format": "rapid"}}, "touch_off: no programs are made in 'rapid'"),
         ({"part_handling": {"settle": {}}}, r"part_handling\.settle: .*repeatability.*\[repeatability\] rms_nm"),
-        ({"part_handling": {"clean": {}}}, r"part_handling\.clean\.operator: say who does it"),
+        ({"part_handling": {"clean": {}}}, r"part_handling\.clean\.operator: "),
         (
             {"part_handling": {"clean": {"operator": "x", "command": ["y"]}}},
-            r"part_handling\.clean\.operator: say who does it",
+            r"part_handling\.clean\.operator: ",
         ),
         ({"part_handling": {"settle": {"max_maps": 1}}}, r"part_handling\.settle\.max_maps"),
     ],

@@ -87,7 +87,7 @@ def test_a_text_under_another_name_is_told_its_own(tmp_path: Path) -> None:
     ):
         read_map(path, readers)
     path.write_bytes(b"x y")
-    with pytest.raises(MapError, match=r"; the reader 'odd' failed on it \(IndexError: .*\): mend its plugin$"):
+    with pytest.raises(MapError, match=r"; the reader 'odd' failed on it \(IndexError: .*\): correct its plugin$"):
         read_map(path, readers)
     for content in (b"x y z", b"1 2\0"):
         path.write_bytes(content)
@@ -121,7 +121,7 @@ def test_whatever_a_reader_does_is_a_bad_map_that_names_it(tmp_path: Path) -> No
             "AttributeError: it",
         ),
         (SurfaceReader("odd", lambda head, path: raises(IndexError("head")), small_map), "IndexError: head"),
-        (SurfaceReader("odd", lambda head, path: True, lambda path: None), "gave NoneType, no SurfaceMap"),  # type: ignore[arg-type,return-value]
+        (SurfaceReader("odd", lambda head, path: True, lambda path: None), "returned NoneType, not a SurfaceMap"),  # type: ignore[arg-type,return-value]
     ]:
         with pytest.raises(MapError, match=rf"m\.dat: the reader 'odd' .*{says}"):
             read_map(path, [broken, reader("any", b"")])

@@ -151,10 +151,10 @@ def test_what_devices_state_is_what_their_sections_say(types: dict[str, DeviceTy
 @pytest.mark.parametrize(
     ("name", "options", "said"),
     [
-        ("spindle_profile", {"profile": "voice_coil_modbus"}, "is of an actuator, not of a spindle; name another"),
+        ("spindle_profile", {"profile": "voice_coil_modbus"}, "is of an actuator, not of a spindle"),
         ("actuator_profile", {"profile": "voice_coil_mod"}, "is not known; did you mean 'voice_coil_modbus'"),
         ("actuator_profile", {"profile": "none.toml"}, r"none\.toml"),
-        ("actuator_profile", {"profile": str(LINE_DRIVE), "unit": 2}, "of lines, which have no unit; remove it"),
+        ("actuator_profile", {"profile": str(LINE_DRIVE), "unit": 2}, "uses lines, which have no unit number"),
         (
             "actuator_profile",
             {"profile": "voice_coil_modbus", "address": "slcan:x"},
@@ -188,7 +188,7 @@ def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, Dev
         ("cia402_spindle", {"address": "tcp://a:1"}, "slcan: or socketcand://"),
         ("cia402_spindle", {"address": "slcan:x?bitrate=1"}, "address"),
         ("cia402_spindle", {"address": "slcan:x?bitrate=50000"}, "at least 125000 bit/s"),
-        ("cia402_spindle", {"controller_node": 5}, "controller_node 5 is the drive's own"),
+        ("cia402_spindle", {"controller_node": 5}, "controller_node 5 is the drive's node number"),
         ("cia402_spindle", {"rpm_per_unit": 0.0}, "rpm_per_unit is 0"),
         ("cia402_spindle", {"eds": "none.eds"}, "none.eds: cannot be read"),
         ("cia402_spindle", {"acceleration_rpm_s": 0.01, "rpm_per_unit": 1.0}, None),
@@ -214,7 +214,7 @@ def test_a_drive_without_the_mode_that_is_needed_is_a_config_error(
     """Reported with the file, before anything is connected."""
     (tmp_path / "torque.eds").write_text(EDS.read_text().replace("[60FF]", "[5FFF]"))
     options = {**DRIVE, "eds": "torque.eds"}
-    with pytest.raises(ConfigError, match=r"torque.eds: it has no number 60FFh"):
+    with pytest.raises(ConfigError, match=r"torque.eds: object 60FFh is missing"):
         types["cia402_spindle"].build(types["cia402_spindle"].options(**options), context(tmp_path))
     actuator = types["cia402_actuator"]
     assert isinstance(actuator.build(actuator.options(**options, **PRESS), context(tmp_path)), Device)

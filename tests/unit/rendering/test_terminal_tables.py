@@ -159,7 +159,7 @@ def test_what_a_person_sees_of_a_run(capsys: Any) -> None:
     held = lines.index("held: by [order]")
     assert lines[held + 1 : held + 3] == ["tool off the part: yes", "robot at rest: not confirmed"]
     assert lines[held + 3].startswith("robot did not confirm: [deaf]; it may still move")
-    assert lines[held + 4].startswith("next: when nothing is left to mend: polishd resume 'my cell.toml' goes on")
+    assert lines[held + 4].startswith("next: correct the cause, then run polishd resume 'my cell.toml'")
     assert stderr.stderr
 
 

@@ -64,5 +64,5 @@ def test_a_file_that_is_missing_too_large_or_no_job_is_refused_by_name(
     with pytest.raises(ConfigError, match="its files are more than"):
         read_part(path)
     path.write_text('[cell]\nname = "x"\n')
-    with pytest.raises(ConfigError, match=r"(?s)is the cell's, and no job's.*job\.id: is missing"):
+    with pytest.raises(ConfigError, match=r"(?s)belongs into the cell's file.*job\.id: is missing"):
         read_part(path)

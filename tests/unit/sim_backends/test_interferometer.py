@@ -182,7 +182,7 @@ async def test_every_connection_has_its_own_receiver(tmp_path: Path) -> None:
         runtime.server.close()
 
 
-async def test_a_plug_that_is_out_lets_nobody_in(tmp_path: Path) -> None:
+async def test_an_unplugged_link_refuses_connections(tmp_path: Path) -> None:
     async with asyncio.TaskGroup() as group:
         runtime: Any = Loopback(tmp_path, group)
         wire = SimWire(runtime, lambda outlet: outlet.send)

@@ -79,7 +79,7 @@ def test_what_it_carries_may_go_back() -> None:
     assert (bench.arm.seat, bench.seats) == ("", [""])
 
 
-def test_unheard_it_stops_by_itself() -> None:
+def test_without_requests_it_stops() -> None:
     bench = Bench(seat="", load_s=60.0)
     bench.arm.load("P-2")
     assert bench.after(4.9, heard=False) == MOVING

@@ -7,16 +7,14 @@ from pathlib import Path
 import pytest
 
 from polishd.config.simulator import SimConfig
-from polishd.config.simulator_cell import KINDS
+from polishd.config.simulator_cell import KINDS, SECTIONS
 from polishd.model.errors import ConfigError
 from polishd.plugin_loader import load_own
 from polishd.sim_backends.common.registry import SimDevice, find_device, sim_devices
 from polishd.sim_backends.common.runtime import read_config
 
 OWN = load_own().device_types()
-SECTIONS = {"metrology": "interferometer"}
-"""Sections of SIM.toml that have another name than the port."""
-BY_KIND = [(device, kind) for device in sim_devices() for kind in device.links if kind]
+BY_KIND = [(device, kind) for device in sim_devices() for kind in device.links]
 
 
 def test_each_device_type_names_a_simulated_device_of_its_port() -> None:

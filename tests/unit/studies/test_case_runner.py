@@ -143,7 +143,9 @@ def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
         ("", "raster = true", "controllers"),
     ],
 )
-def test_what_cannot_be_is_said_before_anything_is_computed(tmp_path: Path, loops: str, more: str, said: str) -> None:
+def test_an_invalid_study_is_refused_before_anything_is_computed(
+    tmp_path: Path, loops: str, more: str, said: str
+) -> None:
     path = study_file(tmp_path, loops, more, near=0.0)
     with pytest.raises(PolishdError, match=re.escape(said)):
         looped(path, 1)

@@ -78,11 +78,9 @@ def test_a_loop_that_has_it_is_right_from_the_first_pass_on(tmp_path: Path) -> N
     assert witnessed.accepted
 
 
-def test_what_is_nothing_to_begin_with_is_said(tmp_path: Path) -> None:
+def test_an_unusable_start_is_reported(tmp_path: Path) -> None:
     wrong = study(tmp_path, '[controllers.odd]\nwitness = "spit"\n')
-    with pytest.raises(
-        ConfigError, match=re.escape('\'spit\' is nothing to begin with; it is "rate", "spot" or "touch"')
-    ):
+    with pytest.raises(ConfigError, match=re.escape('\'spit\' is not allowed; must be "rate", "spot" or "touch"')):
         runs_here(wrong)
 
 

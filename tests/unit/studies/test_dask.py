@@ -78,7 +78,7 @@ def test_a_cluster_without_workers_is_waited_for_and_says_so(tmp_path: Path, mon
     assert len(cluster.workers) == 2
 
 
-def test_nobody_at_the_address_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_without_a_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("polishd.studies.engine.ANSWER_S", 0.2)
     with pytest.raises(ConfigError, match=r"--scheduler tcp://127.0.0.1:1: no scheduler answers"):
         DaskCluster("tcp://127.0.0.1:1")
@@ -86,5 +86,5 @@ def test_nobody_at_the_address_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_without_dask_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"install polishd\[dask\]"):
+    with pytest.raises(ConfigError, match=r"polishd\[dask\]"):
         DaskCluster("tcp://127.0.0.1:1")

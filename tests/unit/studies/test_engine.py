@@ -40,7 +40,7 @@ def test_all_cases_come_each_once(tmp_path: Path) -> None:
     assert all(done.tries == 1 for done in found.values())
 
 
-def test_what_raises_or_kills_its_worker_is_tried_once_more_and_told(tmp_path: Path) -> None:
+def test_a_case_that_raises_or_kills_its_worker_is_retried_once_and_reported(tmp_path: Path) -> None:
     found = worked(tmp_path, cases("", "raises", "", "dies", "", "once dies", "once raises", ""))
     assert {number: done.answer.error for number, done in found.items() if done.answer.error} == {
         1: "ValueError: no",
@@ -77,7 +77,7 @@ class Lonely(LocalPool):
                 future.set_result([CaseResult(case.number, ({},)) for case in task.cases])
 
 
-def test_nobody_to_work_is_told_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lack_of_workers_is_reported_once_and_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "LOOK_S", 0.05)
     with Lonely() as lonely:
         (done,) = work(tmp_path / "study.toml", cases(""), lonely, report_wait=lonely.come)

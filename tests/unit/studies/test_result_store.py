@@ -101,17 +101,17 @@ def test_values_of_several_kinds_are_their_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["{", "[]", '{"of": "x", "rows": []}', json.dumps({"of": "x", "rows": [{"a": 1}]})])
-def test_a_line_that_is_none_of_ours_is_told(tmp_path: Path, line: str) -> None:
+def test_a_line_that_is_no_case_is_refused(tmp_path: Path, line: str) -> None:
     (tmp_path / JOURNAL).write_text(f"{line}\n")
-    with pytest.raises(ConfigError, match=r"cases.jsonl:1: is no case of a study; take the line out"):
+    with pytest.raises(ConfigError, match=r"cases.jsonl:1: no case of a study"):
         ResultStore(tmp_path)
 
 
-def test_a_table_that_is_none_and_a_folder_without_one_are_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="has neither"):
+def test_an_invalid_table_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=rf"no {TABLE} and no {JOURNAL}"):
         read_table(tmp_path)
     (tmp_path / TABLE).write_bytes(b"no table")
-    with pytest.raises(ConfigError, match=r"cases.parquet: cannot be read"):
+    with pytest.raises(ConfigError, match=r"cases.parquet: cannot read"):
         ResultStore(tmp_path)
 
 

@@ -151,8 +151,8 @@ def test_an_error_is_one_line_with_its_place(tmp_path: Path, change: tuple[str, 
     assert not out.exists() or not any(out.iterdir())
 
 
-def test_a_folder_that_cannot_be_made_is_said_before_anything_is_computed(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_reported_before_anything_is_computed(tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("a file")
-    with pytest.raises(ConfigError, match=r"taken: cannot be made: File exists; name a folder with --out"):
+    with pytest.raises(ConfigError, match=r"taken: cannot create the folder: File exists"):
         study_verb(TABLE_IV, StudyOptions(out=taken), as_json=True)

@@ -1,4 +1,4 @@
-"""What was wrong against what was said, and a small study of it from its file to its page."""
+"""True causes against diagnoses, and a small study of them from its file to its page."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ def test_a_case_that_cannot_be_is_refused_before_any_runs(tmp_path: Path, group:
         cases_of(load_swept(path))
 
 
-def test_a_file_that_is_not_there_is_told_at_its_key_and_out_is_not_made(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported_at_its_key_and_out_is_not_created(tmp_path: Path) -> None:
     path, out = study_file(tmp_path, LOOPS, near=-0.1), tmp_path / "out"
     whole = path.read_text()
     for wrong in ('cell = "no.toml"', 'plant = "no.toml"', 'scenarios = ["no.toml"]'):
@@ -160,7 +160,7 @@ def test_who_watches_a_cell_decides_no_case(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_rows_that_are_not_taken_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_that_are_not_reused_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study, out = few(tmp_path), tmp_path / "out"
     study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
     study_verb(study, StudyOptions(out=out, workers=1, limit=2), as_json=True)
@@ -180,7 +180,7 @@ def test_the_shipped_study_has_two_thousand_jobs_on_the_same_draws() -> None:
 
 
 @pytest.mark.full
-def test_people_are_told_what_failed(
+def test_failures_are_printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(stdout, "_width", 200)

@@ -73,7 +73,7 @@ def test_a_study_that_was_changed_is_refused(study: Path) -> None:
     case = cases_of(load_swept(study))[0]
     study.write_text(SPOT.replace("1000.0", "900.0"))
     (refused,) = answers(study, case)
-    assert "was changed since the study began; let all workers see the same files" in refused["error"]
+    assert "has changed since the study began" in refused["error"]
     (refused,) = answers(study, replace(case, of="other"))
     assert "error" in refused
 

@@ -68,7 +68,7 @@ def test_a_damaged_row_is_named_by_each_endpoint_that_reads_it(
     for path in paths:
         assert answers[path].status_code == 503, path
         said = answers[path].json()["error"]
-        assert f" of {table} does not match its checksum. To do: check the disk" in said
+        assert f" of {table} does not match its checksum. Check the disk" in said
     assert {one.status_code for path, one in answers.items() if path not in paths} <= {200, 503}
     assert answers["state"].status_code == 200, "the daemon's state is still shown"
     hold = web.ask("POST", "/api/orders/hold", json={"reason": "look"})

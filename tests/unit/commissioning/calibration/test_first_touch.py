@@ -38,8 +38,8 @@ def cell_in(folder: Path, *changes: tuple[str, str]) -> Path:
 def test_a_job_and_a_fragment_run_the_touch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cell, out = cell_in(tmp_path), tmp_path / "touch"
     touch_verb(cell, out, OPTIONS, as_json=True)
-    told = json.loads(capsys.readouterr().out)
-    assert told == json.loads((out / "touch.json").read_text())
+    shown = json.loads(capsys.readouterr().out)
+    assert shown == json.loads((out / "touch.json").read_text())
     assert {path.name for path in out.iterdir()} == {
         "touch.rnc",
         "job.toml",
@@ -47,7 +47,7 @@ def test_a_job_and_a_fragment_run_the_touch(tmp_path: Path, capsys: pytest.Captu
         "touch.png",
         "touch.json",
     }
-    rate = next(row for row in told["parameters"] if row["name"] == "rate")
+    rate = next(row for row in shown["parameters"] if row["name"] == "rate")
     assert 0.0 < rate["after"] < 0.2 * rate["before"]
     queued = JobFile.read(out / "job.toml").laid_over(load_config(cell))
     cell.write_text(f'include = ["touch/fragment.toml"]\n{cell.read_text()}')
@@ -78,7 +78,7 @@ def test_ways_between_the_tracks_count(tmp_path: Path) -> None:
         ((("aperture_mm = 30", "aperture_mm = 12"),), OPTIONS, "no room for tracks"),
         ((), TouchOptions("W", 20.0, {"speed": 1.0}), "--want speed: no such parameter; there are compliance"),
         ((), TouchOptions("W", 20.0, {"rate": 0.0}), "--want rate=0: must be above 0"),
-        ((), TouchOptions("W", 20.0, {"wear": 0.1}), "--want wear: no touch tells that: a tool wears in hours"),
+        ((), TouchOptions("W", 20.0, {"wear": 0.1}), "--want wear: a touch cannot estimate it"),
     ],
 )
 def test_what_cannot_be_is_refused_and_nothing_written(

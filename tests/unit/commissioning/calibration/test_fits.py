@@ -63,7 +63,7 @@ def test_stiffnesses_are_found_and_a_cell_takes_them(polishd: Polishd, tmp_path:
 
 
 def made_up(path: Path, n: int, spread: float, seed: int) -> Path:
-    """The same places, and numbers that nobody measured."""
+    """The same places, and invented numbers."""
     rows = np.loadtxt(loading_tests(path, n, 0.0, seed), delimiter=",", skiprows=1)
     rows[:, -1] = 1.5 * (1 + spread * np.random.default_rng(seed).uniform(-1, 1, n))
     np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="", fmt="%.9g")
@@ -86,9 +86,9 @@ def test_random_numbers_are_not_believed(polishd: Polishd, tmp_path: Path, n: in
 @pytest.mark.full
 def test_random_numbers_are_written_if_one_insists_and_the_fragment_says_so(polishd: Polishd, tmp_path: Path) -> None:
     tests, out = made_up(tmp_path / "t.csv", 40, 0.4, 1), tmp_path / "stiff.toml"
-    told = polishd("calibrate", "stiffness", tests)
-    assert told.code == 0, "without --out it is only told"
-    assert "DO NOT BELIEVE THIS: the fit is off by " in told.err
+    shown = polishd("calibrate", "stiffness", tests)
+    assert shown.code == 0, "without --out it is only shown"
+    assert "DO NOT BELIEVE THIS: the fit is off by " in shown.err
     answer = polishd("calibrate", "stiffness", tests, "--out", out, "--anyway", "--json").answer
     assert len(answer["doubts"]) >= 1
     assert "; DOUBTFUL: the fit is off by " in out.read_text()

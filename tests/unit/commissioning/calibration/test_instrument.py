@@ -145,7 +145,7 @@ def test_without_angles_it_says_which_poses_are_wanted(polishd: Polishd, cell: P
 
 def test_the_poses_tell_all_but_power() -> None:
     poses, needs = wanted_poses(50.0, 0.1, 0.5)
-    assert any(pose.x_mm or pose.y_mm for pose in poses), "what is round is told by a shift"
+    assert any(pose.x_mm or pose.y_mm for pose in poses), "a shift determines symmetric terms"
     assert any(pose.angle_deg for pose in poses)
     assert set(needs) == {"power"}
 

@@ -44,8 +44,8 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_cell_of_each_kind_passes_its_check(tmp_path: Path, kind: str) -> None:
     shutil.copy(EDS, tmp_path)
-    told = init(tmp_path, KINDS[kind])
-    assert "program.rnc" in told["written"], told["program"]
+    shown = init(tmp_path, KINDS[kind])
+    assert "program.rnc" in shown["written"], shown["program"]
     facts = check_cell(*load_cell(tmp_path / "cell" / "cell.toml"))
     assert facts["reach"].startswith("all ")
 
@@ -54,8 +54,8 @@ def test_a_cell_of_each_kind_passes_its_check(tmp_path: Path, kind: str) -> None
 def test_what_is_about_the_parts_safety_is_not_assumed_away(tmp_path: Path) -> None:
     """How deep a feed hold digs follows from times that only a person can state."""
     robot = 'type = "plc_robot"\nprofile = "plc-opcua"\naddress = "opc.tcp://plc:4840"\ndelivery = "folder:nc"'
-    told = init(tmp_path, f"{ROUND}[robot]\n{robot}\n")
-    assert "program.rnc" in told["written"]
+    shown = init(tmp_path, f"{ROUND}[robot]\n{robot}\n")
+    assert "program.rnc" in shown["written"]
     with pytest.raises(ConfigError, match=r"limits\.max_stall_removal_nm: a feed hold at the controller would dig"):
         check_cell(*load_cell(tmp_path / "cell" / "cell.toml"))
 
@@ -64,9 +64,9 @@ def test_what_is_about_the_parts_safety_is_not_assumed_away(tmp_path: Path) -> N
 def test_a_controller_whose_language_polishd_does_not_write_is_left_without_a_program(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = init(tmp_path, ROUND + '[robot]\ntype = "universal_robots"\naddress = "tcp://ur:30004"\n')
-    assert told["written"] == ["cell.toml", "drive.eds", "instrument.toml"]
-    assert "urscript" in told["program"]
+    shown = init(tmp_path, ROUND + '[robot]\ntype = "universal_robots"\naddress = "tcp://ur:30004"\n')
+    assert shown["written"] == ["cell.toml", "drive.eds", "instrument.toml"]
+    assert "urscript" in shown["program"]
     setup_verb(tmp_path / "cell" / "cell.toml", as_json=True)
     found = {step["what"]: step for step in json.loads(capsys.readouterr().out)["steps"]}
     assert found["check"]["done"] is False
@@ -77,8 +77,8 @@ def test_a_controller_whose_language_polishd_does_not_write_is_left_without_a_pr
 def test_a_sample_map_tells_the_part_and_begins_the_profile(tmp_path: Path) -> None:
     """A file that says everything leaves nothing to be said; its part's name and size are the cell's."""
     dat(tmp_path / "part.dat", surface(60, 60), part="blank-7")
-    told = init(tmp_path, '[instrument]\nsample = "part.dat"\n')
+    shown = init(tmp_path, '[instrument]\nsample = "part.dat"\n')
     config, _ = load_cell(tmp_path / "cell" / "cell.toml")
     assert (config.part.id, config.part.aperture_mm, config.job.id) == ("blank-7", 29.0, "blank-7")
-    assert {"part.id", "part.aperture_mm"} <= set(told["look"])
-    assert "gives" not in told["texts"]["instrument.toml"]
+    assert {"part.id", "part.aperture_mm"} <= set(shown["look"])
+    assert "gives" not in shown["texts"]["instrument.toml"]

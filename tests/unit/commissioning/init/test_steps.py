@@ -1,4 +1,4 @@
-"""``polishd init --status``: what is said of a cell follows from what lies on disk, step by step."""
+"""``polishd init --status``: the state of a cell follows from the files on disk, step by step."""
 
 from __future__ import annotations
 

@@ -20,9 +20,10 @@ from polishd.config.cell import load_config
 from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.config.table_files import write_tif
+from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, SerialRobot
-from polishd.plugin_loader import load_cell
+from polishd.plugin_loader import Hooks, load_cell
 from tests.system.cell_rig import with_keys
 
 EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
@@ -128,7 +129,7 @@ def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(
         "robot.address": f"tcp://127.0.0.1:{port}",
         "spindle.eds": str(tmp_path / "drive.eds"),
     }
-    assert "# the part's centre in the robot's base frame" in cell_text(draft), "comments stay"
+    assert "in the robot's base frame" in cell_text(draft), "comments stay"
     assert draft.notes == ["instrument.profile: there is none; the rehearsal has that of polishd demo"]
 
 
@@ -274,6 +275,54 @@ def test_maps_lie_as_the_cells_profile_says(tmp_path: Path) -> None:
     assert draft.notes[0].startswith("serials of instrument.profile: ")
 
 
+class OtherTypes(Hooks):
+    """The cell's plugins, and one more with a copy of each type, ``other_NAME``."""
+
+    simulated_by = ""
+    """Simulated device of the copies; empty: that of the original."""
+
+    def device_types(self) -> dict[str, DeviceType]:
+        own = super().device_types()
+        copies = {f"other_{name}": one for name, one in own.items()}
+        named = {name: self.simulated_by or one.simulated_by for name, one in copies.items()}
+        return own | {name: replace(one, name=name, simulated_by=named[name]) for name, one in copies.items()}
+
+
+def made_of_others(folder: Path, text: str, simulated_by: str = "") -> RehearsalDraft:
+    """What is gathered of a cell with devices of another plugin; nothing is written."""
+    draft = made(folder, CELL)
+    (folder / "cell.toml").write_text(text)
+    hooks = OtherTypes(draft.hooks.report)
+    hooks.simulated_by = simulated_by
+    return draft_rehearsal(load_config(folder / "cell.toml"), hooks)
+
+
+def test_devices_of_another_plugin_have_the_shipped_simulated_devices(tmp_path: Path) -> None:
+    """Each simulated device has the kind that its section takes, and the values of the cell."""
+    text = CELL.replace('"robot_link"', '"other_robot_link"').replace('"watched_folder"', '"other_watched_folder"')
+    text = text.replace('"cia402_spindle"', '"other_cia402_spindle"')
+    text += (
+        '\n[monitor]\ntype = "other_monitor_line"\naddress = "serial:/dev/ttyUSB4"\n'
+    text += "[signals.flow.before]\nmin = 1.0\n"
+    )
+    text = with_keys(text, {"robot": {"watchdog_s": 12.0}, "metrology": {"request_file": "go.txt"}})
+    draft = made_of_others(tmp_path, text)
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.robot.watchdog_s) == ("link", 12.0)
+    assert other["robot.address"] == f"tcp://127.0.0.1:{sim.robot.port}"
+    assert (sim.interferometer.kind, sim.interferometer.request_file) == ("watched_folder", "go.txt")
+    assert sim.spindle.kind == "slcan"
+    assert sim.monitor is not None
+    assert (sim.monitor.kind, sim.monitor.signals["flow"].value) == ("serial", 1.1)
+
+
+def test_a_simulated_device_with_several_protocols_needs_its_kind(tmp_path: Path) -> None:
+    text = CELL.replace('"voice_coil_modbus"', '"other_voice_coil_modbus"')
+    with pytest.raises(ConfigError, match=r"cell\.toml:\d+: actuator\.type: .*several protocols.*modbus_rtu"):
+        made_of_others(tmp_path, text)
+    assert sim_of(made_of_others(tmp_path, text, "modbus_rtu"), tmp_path).actuator.kind == "modbus_rtu"
+
+
 REFUSED = {
     "program.format: no simulated controller": {"program": {"format": "krl"}},
     "process.force_n: the simulated actuator presses with 50 N": {"process": {"force_n": 80.0}},
@@ -366,5 +415,5 @@ def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
 
 
 def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--state and --artefact are options of polishd sim"):
+    with pytest.raises(ConfigError, match="--state and --artefact do not go with rehearse"):
         CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)

@@ -32,10 +32,10 @@ class Hole:
 
     def __init__(self) -> None:
         self.let_go = asyncio.Event()
-        self.asked = 0
+        self.requests = 0
 
     async def __call__(self) -> None:
-        self.asked += 1
+        self.requests += 1
         while not self.let_go.is_set():
             try:
                 await self.let_go.wait()
@@ -73,13 +73,13 @@ async def test_what_takes_longer_is_cancelled_and_may_tidy_up() -> None:
 async def test_what_does_not_let_go_is_left_behind(bench: Bench, hole: Hole, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(TimeoutError):
         await with_deadline(SOON_S, hole())
-    assert "is left behind" in caplog.text
+    assert "is abandoned" in caplog.text
     caller = asyncio.ensure_future(with_deadline(3600.0, hole()))
     await asyncio.sleep(0)
     caller.cancel()
     with pytest.raises(asyncio.CancelledError):
         await caller
-    assert hole.asked == 2
+    assert hole.requests == 2
 
 
 async def test_what_it_raises_is_told() -> None:
@@ -108,9 +108,9 @@ async def test_a_stop_ends_the_daemon_whatever_a_device_does(
         while not ended.done():
             bench.fake.clock.advance(0.5)  # an actuator that lifts, or lets go, takes its time
             await asyncio.sleep(0)
-        with pytest.raises(LinkError, match=rf"^{name}: was not closed within 0\.02 s, and is left behind"):
+        with pytest.raises(LinkError, match=rf"^{name}: was not closed within 0\.02 s and is abandoned"):
             await ended
-    assert hole.asked >= 3, "contact was left, the cell was made safe and closed"
+    assert hole.requests >= 3, "contact was left, the cell was made safe and closed"
     (unsafe,) = bench.fake.cell.unsafe
     assert unsafe.startswith(f"{name}: no answer within 0.02 s")
     assert bench.fake.of("close") == [call for call in CLOSED if not call.startswith(name)]
@@ -122,15 +122,15 @@ def test_how_long_the_end_may_take_is_known_beforehand(bench: Bench) -> None:
 
 
 async def test_what_did_not_open_is_told_before_what_did_not_close(bench: Bench, hole: Hole) -> None:
-    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody there")
+    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: no answer")
     bench.fake.robot.acts.fails["close"] = OSError("stuck")
-    with pytest.raises(LinkError, match=r"^spindle: nobody there") as told:
+    with pytest.raises(LinkError, match=r"^spindle: no answer") as raised:
         await bench.fake.cell.open()
-    assert told.value.__notes__ == ["and then: stuck"]
+    assert raised.value.__notes__ == ["and then: stuck"]
 
 
 async def test_a_stop_is_obeyed_while_a_link_is_opened_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for a controller that swallows what it is asked."""
+    """The daemon does not wait for a controller that accepts requests and never answers."""
     bench.fake.spindle.acts.fails["make_safe"] = LinkError("deaf")
     async with Running(bench) as running:
         await running.held()

@@ -21,8 +21,8 @@ GUARD = SignalLimits(
 )
 
 
-class Told:
-    """Signals that a monitor tells every 0.1 s."""
+class Monitored:
+    """Signals that a monitor sends every 0.1 s."""
 
     def __init__(self, *limits: SignalLimits) -> None:
         self.signals = Signals(limits or (FLOW, GUARD), {"monitor": 1.0})
@@ -30,11 +30,11 @@ class Told:
     def run(
         self, seconds: float, flow: float | None, *, guard: bool | None = True, in_contact: bool = True
     ) -> list[str]:
-        """What was said meanwhile."""
+        """Messages of that time."""
         said = []
         for _ in range(round(seconds / 0.1)):
             for name, value in (("AI3", flow), ("guard", guard)):
-                self.signals.hear("monitor", Signal(0.0, name, value))
+                self.signals.update("monitor", Signal(0.0, name, value))
             said += [what for _, what in self.signals.pass_by(0.1, in_contact=in_contact)]
         return said
 
@@ -44,73 +44,75 @@ class Told:
 
 
 def test_what_holds_is_not_told() -> None:
-    told = Told()
-    assert told.run(10.0, 0.8) == []
+    monitored = Monitored()
+    assert monitored.run(10.0, 0.8) == []
 
 
 def test_what_is_wrong_for_longer_than_its_grace_is_told_once() -> None:
-    told = Told()
-    assert told.run(1.0, 1.2) == []
-    assert told.run(1.9, 0.2) == []
-    said = "flow is 0.2 l/min, must be at least 0.8 l/min in contact, and was not for more than 2 s"
-    assert told.run(10.0, 0.2) == [said]
+    monitored = Monitored()
+    assert monitored.run(1.0, 1.2) == []
+    assert monitored.run(1.9, 0.2) == []
+    said = "flow is 0.2 l/min, must be at least 0.8 l/min in contact; it was wrong for more than 2 s"
+    assert monitored.run(10.0, 0.2) == [said]
 
 
 def test_a_short_fault_is_forgiven_each_time() -> None:
-    told = Told()
+    monitored = Monitored()
     for _ in range(5):
-        assert told.run(1.9, 0.2) == []
-        assert told.run(0.1, 1.2) == []
+        assert monitored.run(1.9, 0.2) == []
+        assert monitored.run(0.1, 1.2) == []
 
 
 def test_without_grace_it_is_told_at_once() -> None:
-    told = Told()
-    told.run(1.0, 1.2)
-    assert told.run(0.1, 1.2, guard=False) == ["guard is off, must be on in contact, and was not for more than 0 s"]
+    monitored = Monitored()
+    monitored.run(1.0, 1.2)
+    assert monitored.run(0.1, 1.2, guard=False) == [
+        "guard is off, must be on in contact; it was wrong for more than 0 s"
+    ]
 
 
 def test_out_of_contact_nothing_is_told_and_the_next_contact_counts_anew() -> None:
-    told = Told()
-    assert len(told.run(5.0, 0.2)) == 1
-    assert told.run(5.0, 0.2, in_contact=False) == []
-    assert told.run(1.9, 0.2) == []
-    assert len(told.run(0.3, 0.2)) == 1
+    monitored = Monitored()
+    assert len(monitored.run(5.0, 0.2)) == 1
+    assert monitored.run(5.0, 0.2, in_contact=False) == []
+    assert monitored.run(1.9, 0.2) == []
+    assert len(monitored.run(0.3, 0.2)) == 1
 
 
 def test_a_silent_monitor_knows_nothing() -> None:
-    told = Told()
-    told.run(1.0, 1.2)
-    assert told.silent(0.9) == []
-    guard, flow = told.silent(3.0)
+    monitored = Monitored()
+    monitored.run(1.0, 1.2)
+    assert monitored.silent(0.9) == []
+    guard, flow = monitored.silent(3.0)
     assert guard.startswith("guard is not known, must be on")
     assert flow.startswith("flow is not known, must be at least 0.8 l/min")
 
 
 def test_a_value_that_the_monitor_does_not_know_is_wrong() -> None:
-    assert len(Told().run(3.0, None)) == 1
+    assert len(Monitored().run(3.0, None)) == 1
 
 
 def test_before_contact_other_limits_hold() -> None:
-    told = Told()
-    assert set(told.signals.not_ready().values()) == {
+    monitored = Monitored()
+    assert set(monitored.signals.not_ready().values()) == {
         "flow is not known, must be at least 1 l/min", "guard is not known, must be on"
     }  # fmt: skip
-    told.run(0.1, 0.9)
-    assert told.signals.not_ready() == {FLOW: "flow is 0.9 l/min, must be at least 1 l/min"}
-    told.run(0.1, 1.0)
-    assert told.signals.not_ready() == {}
+    monitored.run(0.1, 0.9)
+    assert monitored.signals.not_ready() == {FLOW: "flow is 0.9 l/min, must be at least 1 l/min"}
+    monitored.run(0.1, 1.0)
+    assert monitored.signals.not_ready() == {}
 
 
 def test_limits_of_contact_alone_do_not_keep_it_from_beginning() -> None:
-    told = Told(replace(FLOW, before=None))
-    assert told.signals.not_ready() == {}
-    assert told.run(3.0, 0.1) != []
+    monitored = Monitored(replace(FLOW, before=None))
+    assert monitored.signals.not_ready() == {}
+    assert monitored.run(3.0, 0.1) != []
 
 
 def test_status_has_each_with_what_is_wrong() -> None:
-    told = Told()
-    told.run(0.1, 0.9, in_contact=False)
-    facts = told.signals.facts()
+    monitored = Monitored()
+    monitored.run(0.1, 0.9, in_contact=False)
+    facts = monitored.signals.facts()
     assert facts["flow"] == {
         "value": 0.9, "text": "0.9 l/min", "wrong": "flow is 0.9 l/min, must be at least 1 l/min", "action": "lift"
     }  # fmt: skip
@@ -134,13 +136,13 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: FakeCell) -> None:
-    told: asyncio.Queue[tuple[SignalLimits, str]] = asyncio.Queue()
-    async with monitoring_signals(fake.cell, lambda *what: told.put_nowait(what)):
+    alarms: asyncio.Queue[tuple[SignalLimits, str]] = asyncio.Queue()
+    async with monitoring_signals(fake.cell, lambda *what: alarms.put_nowait(what)):
         while fake.cell.signals.not_ready():  # noqa: ASYNC110
             await asyncio.sleep(0.01)
         fake.cell.pressing = True
         fake.monitor.values["guard"] = False
-        limits, said = await told.get()
+        limits, said = await alarms.get()
     assert (limits, limits.action) == (GUARD, "estop")
     assert said.startswith("guard is off, must be on in contact")
 
@@ -174,8 +176,8 @@ async def test_contact_waits_until_signals_are_ready(fake: FakeCell) -> None:
         while not waiting.done():
             fake.clock.advance(0.01)
             await asyncio.sleep(0.01)
-    what = "flow is 0.2 l/min, must be at least 1 l/min before contact; it is waited for, for up to 5 s"
-    assert published == [SignalOutOfRange(cycle=3, signal="flow", what=what, action="wait")], "told once"
+    what = "flow is 0.2 l/min, must be at least 1 l/min before contact; the daemon waits for up to 5 s"
+    assert published == [SignalOutOfRange(cycle=3, signal="flow", what=what, action="wait")], "published once"
 
 
 async def test_what_is_waited_for_in_vain_holds_the_cell(fake: FakeCell) -> None:
@@ -215,14 +217,14 @@ async def test_probe_tells_each_watched_signal(fake: FakeCell) -> None:
 
 async def test_probe_names_what_a_monitor_does_not_tell(fake: FakeCell) -> None:
     del fake.monitor.values["AI3"]
-    with pytest.raises(DeviceFault, match="monitor: tells no signal 'AI3'; it tells 'guard', 'unused'"):
+    with pytest.raises(DeviceFault, match="monitor: has no signal 'AI3'; it has 'guard', 'unused'"):
         await report_once(fake.cell, "monitor")
 
 
 async def test_probe_does_not_wait_for_ever(fake: FakeCell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "OPEN_S", 0.02)
     fake.monitor.silent = True
-    with pytest.raises(LinkError, match="told not all of its signals"):
+    with pytest.raises(LinkError, match="did not report all its signals"):
         await report_once(fake.cell, "monitor")
 
 
@@ -234,7 +236,7 @@ async def test_a_monitor_whose_link_was_just_opened_again_is_waited_for(fake: Fa
     await asyncio.sleep(0.01)
     assert not waiting.done()
     for name, value in fake.monitor.values.items():
-        fake.cell.signals.hear("monitor", Signal(0.0, name, value))
+        fake.cell.signals.update("monitor", Signal(0.0, name, value))
     while not waiting.done():
         fake.clock.advance(0.1)
         await asyncio.sleep(0)

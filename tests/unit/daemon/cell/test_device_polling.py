@@ -1,4 +1,4 @@
-"""What a port asks is told from its Protocol, and asked of every device before anything is opened."""
+"""Members of a port come from its Protocol; each device is checked for them before anything is opened."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def test_what_is_there_in_another_shape_is_named() -> None:
     fake = FakeCell()
     said = missing_members(Wrong(fake.events, fake.clock), PORTS["actuator"])
     assert sorted(said) == [
-        "its 'identify' is no method: str",
-        "its 'make_safe' is no method: property",
+        "its 'identify' is not a method but str",
+        "its 'make_safe' is not a method but property",
         "its 'retract' cannot be called as retract(): missing a required argument: 'slowly'",
-        "its 'samples' is no async generator: write async def, with yield in it",
-        "its 'set_force' is no coroutine function: write async def",
+        "its 'samples' is not an async generator: write async def with yield",
+        "its 'set_force' is not a coroutine: write async def",
     ]
     assert fake.events == [], "nothing was called"
 
@@ -81,7 +81,7 @@ def test_what_is_there_in_another_shape_is_named() -> None:
 def test_a_method_for_a_property_is_named() -> None:
     fake = FakeCell().robot
     fake.__class__ = type("Robot", (type(fake),), {"buffer_s": lambda self: 1.0})
-    assert missing_members(fake, PORTS["robot"]) == ["its 'buffer_s' is a method; the port asks for a property"]
+    assert missing_members(fake, PORTS["robot"]) == ["its 'buffer_s' is a method; the port requires a property"]
 
 
 def test_names_of_arguments_are_part_of_the_port() -> None:
@@ -121,5 +121,5 @@ def test_other_ways_to_keep_a_port_are_let_pass() -> None:
             yield from ()
 
     assert missing_members(Listed(fake.events, fake.clock), PORTS["actuator"]) == [
-        "its 'samples' is no async generator: write async def, with yield in it"
+        "its 'samples' is not an async generator: write async def with yield"
     ]

@@ -1,4 +1,4 @@
-"""Before contact every device that the job uses is asked: one that is not ready is told of by its own words."""
+"""Before contact each device of the job has to be ready; the error has the status of a device that is not."""
 
 from __future__ import annotations
 
@@ -31,37 +31,37 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", ["actuator", "robot", "spindle", "metrology"])
 async def test_a_device_that_is_not_ready_is_told_by_its_own_words_and_nothing_moves(bench: Bench, name: str) -> None:
-    bench.fake.devices[name].tells = DISABLED
+    bench.fake.devices[name].status_reply = DISABLED
     async with Running(bench) as running:
         await running.held()
-        said = f"DeviceFault: {name} is not ready: fault: drive disabled; see to it: no pass was begun"
+        said = f"DeviceFault: {name} is not ready: fault: drive disabled. Correct it; no pass was begun"
         assert running.daemon.reason == said
-        assert [event.data["kind"] for event in running.told if event.name == "cell_held"] == ["DeviceFault"]
+        assert [event.data["kind"] for event in running.published if event.name == "cell_held"] == ["DeviceFault"]
         assert bench.fake.of("robot.resume", "actuator.set_force", "spindle.set_speed") == []
         assert bench.journal.passes == ()
-        bench.fake.devices[name].tells = READY
+        bench.fake.devices[name].status_reply = READY
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
 
 
 async def test_all_that_are_not_ready_stand_in_one_line(bench: Bench) -> None:
     for device in (bench.fake.actuator, bench.fake.spindle):
-        device.tells = DISABLED
-    told = r"^actuator is not ready: fault: drive disabled; spindle is not ready: fault: drive disabled; see to it"
-    with pytest.raises(DeviceFault, match=told):
+        device.status_reply = DISABLED
+    message = r"^actuator is not ready: fault: drive disabled; spindle is not ready: fault: drive disabled\. Correct it"
+    with pytest.raises(DeviceFault, match=message):
         await bench.polish()
 
 
 async def test_what_a_watchdog_left_is_taken_back(bench: Bench) -> None:
     spindle = bench.fake.spindle
-    spindle.tells = DeviceStatus(ready=False, safe=True, state="fault", detail="watchdog ran out")
-    spindle.acts.before["make_safe"] = lambda: setattr(spindle, "tells", READY)
+    spindle.status_reply = DeviceStatus(ready=False, safe=True, state="fault", detail="watchdog ran out")
+    spindle.acts.before["make_safe"] = lambda: setattr(spindle, "status_reply", READY)
     assert await bench.polish(bench.job(max_cycles=1)) is Outcome.CYCLES_USED
 
 
 @pytest.mark.full
 async def test_a_device_that_cannot_be_cleared_is_still_told_by_its_own_words(bench: Bench) -> None:
-    bench.fake.spindle.tells = DISABLED
+    bench.fake.spindle.status_reply = DISABLED
     bench.fake.spindle.acts.fails["make_safe"] = DeviceFault("spindle: refuses")
     with pytest.raises(DeviceFault, match="spindle is not ready: fault: drive disabled"):
         await bench.polish()
@@ -69,28 +69,28 @@ async def test_a_device_that_cannot_be_cleared_is_still_told_by_its_own_words(be
 
 async def test_a_robot_may_take_an_alarm_back_as_it_gets_its_program(bench: Bench) -> None:
     robot = bench.fake.robot
-    robot.tells = DISABLED
-    robot.acts.before["prepare"] = lambda: setattr(robot, "tells", READY)
+    robot.status_reply = DISABLED
+    robot.acts.before["prepare"] = lambda: setattr(robot, "status_reply", READY)
     assert await bench.polish(bench.job(max_cycles=1)) is Outcome.CYCLES_USED
 
 
 async def test_a_device_that_the_job_does_not_use_is_not_asked_to_be_ready(bench: Bench) -> None:
     loader = bench.fake.with_loader()
-    loader.tells, bench.fake.cell.used = DISABLED, {name: name for name in bench.fake.devices}
+    loader.status_reply, bench.fake.cell.used = DISABLED, {name: name for name in bench.fake.devices}
     assert await bench.polish(bench.job(max_cycles=1)) is Outcome.CYCLES_USED
 
 
 @pytest.mark.full
 async def test_no_touch_off_and_no_conditioning_with_a_device_that_is_not_ready(bench: Bench, tmp_path: Path) -> None:
-    bench.fake.actuator.tells = DISABLED
+    bench.fake.actuator.status_reply = DISABLED
     with pytest.raises(DeviceFault, match="drive disabled"):
         await bench.polish(proving(bench))
     assert bench.moved() == []
-    bench.fake.actuator.tells = READY
+    bench.fake.actuator.status_reply = READY
     dressed = tmp_path / "dressed"
     step = HandlingStep(command=("touch", str(dressed)), folder=tmp_path)
     recipe = small_recipe(between=BetweenPasses(condition=step), tolerance_nm=1e-6)
-    bench.fake.actuator.acts.before["retract"] = lambda: setattr(bench.fake.actuator, "tells", DISABLED)
+    bench.fake.actuator.acts.before["retract"] = lambda: setattr(bench.fake.actuator, "status_reply", DISABLED)
     with pytest.raises(DeviceFault, match="drive disabled"):
         await bench.polish(bench.job(recipe=recipe))
     assert [record.how for record in bench.journal.passes] == ["done"]
@@ -122,7 +122,7 @@ async def test_a_slow_lift_is_no_lost_link_when_a_link_is_opened_again(
 async def test_a_device_that_never_becomes_safe_is_a_lost_link(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("polishd.daemon.cell.time_limits.ANSWERS_S", 0.02)
     spindle = bench.fake.spindle
-    spindle.times, spindle.tells = SpindleTimes(spin_s=0.02), DISABLED
+    spindle.times, spindle.status_reply = SpindleTimes(spin_s=0.02), DISABLED
     spindle.acts.hangs.add("make_safe")
     with pytest.raises(LinkError, match=r"spindle: no answer within 0\.04 s"):
         await bench.polish()

@@ -80,7 +80,7 @@ def test_a_full_file_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -
     found = read_recording(path)
     assert 0 < len(found.passed) < 200
     assert found.notes[-1].endswith("it is full: nothing more was recorded")
-    assert f"{path}: has 20000 bytes, its limit" in caplog.text
+    assert f"{path}: reached its limit of 20000 bytes" in caplog.text
 
 
 def test_what_the_disk_cannot_take_is_counted(
@@ -127,7 +127,7 @@ def test_a_disk_that_fails_ends_the_recording_and_nothing_else(
 def test_no_file_is_overwritten(tmp_path: Path) -> None:
     there = tmp_path / "there"
     there.write_text("precious")
-    with pytest.raises(ConfigError, match=f"--record {there}: exists already; name another file, or a folder"):
+    with pytest.raises(ConfigError, match=f"--record {there}: exists already. Name another file or a folder"):
         place(there, CELL)
     first = place(tmp_path, CELL)
     assert first.name.startswith("left-")

@@ -1,4 +1,4 @@
-"""What a signal leads to: a daemon tells, holds, ends or stops motion first, and nothing moves before all are ready."""
+"""Actions of signals: the daemon notifies, holds, ends or stops motion; nothing moves before all are ready."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.unit.daemon.test_app import SAFE, Running
 from tests.unit.daemon.test_health import at_once
 
 FLOW = SignalLimits("flow", "monitor", "flow", "l/min", SignalRange(min=1.0), 3.0, SignalRange(min=0.8), 0.0, "hold")
-WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact, and was not for more than 0 s"
+WRONG = "flow is 0.2 l/min, must be at least 0.8 l/min in contact; it was wrong for more than 0 s"
 
 
 @pytest.fixture
@@ -37,12 +37,12 @@ def monitored(bench: Bench, action: SignalAction) -> FakeMonitor:
 
 
 def told_of(running: Running) -> list[SignalOutOfRange]:
-    """What the job told."""
-    return [event for event in running.daemon.job.told if isinstance(event, SignalOutOfRange)]  # type: ignore[union-attr]
+    """Alarms that the job published."""
+    return [event for event in running.daemon.job.published if isinstance(event, SignalOutOfRange)]  # type: ignore[union-attr]
 
 
 async def ready(bench: Bench) -> None:
-    """The cell has heard that all is well again: by a clock that stands nobody can wait for it."""
+    """Set all signals to good values directly, because the clock of the test stands still."""
     while bench.fake.cell.signals.not_ready():  # noqa: ASYNC110
         await asyncio.sleep(0)
 
@@ -56,7 +56,7 @@ async def test_hold_leaves_contact_in_order_and_a_person_goes_on(bench: Bench) -
         await running.held()
         assert bench.fake.of("make_safe")[3:6] == SAFE
         assert running.daemon.reason.startswith(f"SignalFault: {WRONG}; pass 0 was interrupted")
-        (held,) = (event for event in running.told if isinstance(event, CellHeld))
+        (held,) = (event for event in running.published if isinstance(event, CellHeld))
         assert held.kind == "SignalFault"
         status = await running.daemon.status()
         assert status["signals"]["flow"]["wrong"] == "flow is 0.2 l/min, must be at least 1 l/min"
@@ -65,7 +65,7 @@ async def test_hold_leaves_contact_in_order_and_a_person_goes_on(bench: Bench) -
         await ready(bench)
         await running.daemon.handlers["resume"]()
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    assert [event.what for event in running.told if isinstance(event, SignalOutOfRange)] == [WRONG]
+    assert [event.what for event in running.published if isinstance(event, SignalOutOfRange)] == [WRONG]
 
 
 async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
@@ -80,7 +80,7 @@ async def test_lift_ends_the_daemon_as_any_safety_stop(bench: Bench) -> None:
 
 
 async def test_of_two_that_are_wrong_the_worse_counts(bench: Bench) -> None:
-    """A monitor that falls silent takes all its signals along; nobody should go on from one of them by `resume`."""
+    """A silent monitor makes all its signals unknown; `resume` must not go on from one of them."""
     limits = [replace(FLOW, name=f"{word} flow", action=word) for word in ("hold", "lift")]
     monitor = bench.fake.with_monitor(*limits, flow=1.5)
     async with Running(bench) as running:
@@ -124,11 +124,11 @@ async def test_notify_tells_and_goes_on(bench: Bench) -> None:
     async with Running(bench) as running:
         await running.in_contact()
         monitor.values["flow"] = 0.2
-        while not any(isinstance(event, SignalOutOfRange) for event in running.told):  # noqa: ASYNC110
+        while not any(isinstance(event, SignalOutOfRange) for event in running.published):  # noqa: ASYNC110
             await asyncio.sleep(0)
         monitor.values["flow"] = 1.5
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    (wrong,) = (event for event in running.told if isinstance(event, SignalOutOfRange))
+    (wrong,) = (event for event in running.published if isinstance(event, SignalOutOfRange))
     assert (wrong.what, wrong.action) == (WRONG, "notify")
     concern = wrong.concern()
     assert concern is not None

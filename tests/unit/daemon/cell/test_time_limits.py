@@ -63,12 +63,12 @@ def test_what_is_shorter_than_what_it_guards_is_named(
 
 def test_what_is_wrong_says_how_long_is_needed_and_why() -> None:
     (_, said), *_ = too_short(replace(LIMITS, robot=RobotTimes(watchdog_s=2.0)).chain(8.0))
-    assert "robot stops by itself: 2 s; at least 6.7 s until the tool is up" in said
+    assert "watchdog of the robot: 2 s; at least 6.7 s until the tool is up" in said
 
 
 def test_a_time_that_never_comes_is_json() -> None:
     chain = replace(LIMITS, robot=RobotTimes(watchdog_s=math.inf)).chain(8.0)
-    assert {row["what"]: row["seconds"] for row in (limit.row() for limit in chain)}["robot stops by itself"] is None
+    assert {row["what"]: row["seconds"] for row in (limit.row() for limit in chain)}["watchdog of the robot"] is None
 
 
 # a force sensor
@@ -107,7 +107,7 @@ def test_a_tool_that_stays_is_taken_off_by_the_robot_while_it_still_moves() -> N
     assert keys(limits, 7.8) == []
     assert keys(replace(limits, actuator=ActuatorTimes()), 7.7) == [], "one that lifts needs no robot for it"
     whats = [limit.what for limit in limits.chain(8.0)]
-    assert "tool taken off by the robot where the actuator has no power" in whats
+    assert "tool lifted by the robot if the actuator has no power" in whats
 
 
 def test_a_tool_that_stays_may_touch_until_the_robot_stops_by_itself() -> None:
@@ -120,7 +120,7 @@ def test_a_tool_that_stays_may_touch_until_the_robot_stops_by_itself() -> None:
     [
         ("lifts", False, ""),
         ("stays", True, ""),
-        ("stays", False, "needs a robot that takes it away, and the job's cannot"),
+        ("stays", False, "needs a robot that lifts it, and the job's robot cannot"),
         ("presses", True, "an actuator that presses without power is refused"),
     ],
 )

@@ -51,7 +51,7 @@ def test_an_actuator_that_lifts_at_once_needs_nothing_of_the_robot_and_one_that_
     assert limits.unseen_s == pytest.approx(1.25 + 2 * 0.55 + 2.0 + 0.2 + 0.6)
     stays = TimeLimits(replace(quick, unpowered="stays"), ROBOT, SPINDLE)
     assert stays.buffer_s == pytest.approx(0.55 + 6.0)
-    (taken_off,) = [limit for limit in stays.chain(8.5) if "taken off by the robot" in limit.what]
+    (taken_off,) = [limit for limit in stays.chain(8.5) if "lifted by the robot" in limit.what]
     assert (taken_off.key, taken_off.seconds) == ("", stays.buffer_s)
 
 
@@ -67,7 +67,7 @@ def test_the_slowest_way_counts_in_all_of_them() -> None:
     [
         (COIL, 7.5, 9.5),
         (ROBOT, 9.0, 19.0),
-        (RobotTimes(watchdog_s=math.inf), 8.0, 8.0),  # it never lets go by itself: only its word counts
+        (RobotTimes(watchdog_s=math.inf), 8.0, 8.0),  # it has no watchdog: only its confirmation counts
         (SPINDLE, 10.0, 11.5),
         (LoaderTimes(stop_s=2.0), 5.0, 5.0),
         (None, 3.0, 3.0),

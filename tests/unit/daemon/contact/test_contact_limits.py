@@ -35,7 +35,7 @@ def speed(at_s: float, rpm: float = 1000.0, *, fault: int = 0) -> SpeedSample:
 
 
 class Heard(ContactRecord):
-    """Of which the test can ask what it was told."""
+    """A record that keeps its inputs for the test."""
 
     def __init__(self) -> None:
         super().__init__(lambda records: None, 1.5)
@@ -56,20 +56,20 @@ class Watched:
 
     def __init__(self, limits: ContactLimits = LIMITS) -> None:
         self.fake, self.touch = FakeCell(), Heard()
-        self.watch = safety._Watch(limits, self.touch, safety._force_check(limits))
+        self.watch = safety._ContactMonitor(limits, self.touch, safety._force_check(limits))
 
-    async def hear(self, samples: Sequence[Any]) -> BaseException | None:
+    async def read(self, samples: Sequence[Any]) -> BaseException | None:
         """What ends it; None where it would listen on."""
         over = asyncio.Event()
 
-        async def told() -> AsyncIterator[Any]:
+        async def readings() -> AsyncIterator[Any]:
             for sample in samples:
                 yield sample
             over.set()
             await asyncio.Event().wait()
 
         device: Any = self.fake.actuator if isinstance(samples[0], ForceSample) else self.fake.spindle
-        device.samples = told
+        device.samples = readings
         watching = safety._watch_force if device is self.fake.actuator else safety._watch_speed
         task = asyncio.ensure_future(watching(self.fake.cell, self.watch))
         waiting = asyncio.ensure_future(over.wait())
@@ -99,10 +99,10 @@ class Watched:
 )
 async def test_force_and_place_of_the_tool(samples: list[ForceSample], error: type[Exception] | None) -> None:
     watched = Watched()
-    assert type(await watched.hear(samples)) is (error or type(None))
+    assert type(await watched.read(samples)) is (error or type(None))
     assert watched.touch.forces == samples[: len(watched.touch.forces)]
     assert len(watched.touch.forces) >= 1
-    assert list(watched.fake.cell.heard_s) == ["actuator"]
+    assert list(watched.fake.cell.answered_s) == ["actuator"]
     assert not watched.watch.silent
 
 
@@ -110,26 +110,26 @@ async def test_force_and_place_of_the_tool(samples: list[ForceSample], error: ty
 async def test_a_contact_beyond_the_stroke_is_none(mm: float, on: bool, stops: bool) -> None:
     watched = Watched(replace(LIMITS, deepest_mm=math.inf))
     assert watched.fake.actuator.times.stroke_mm == 10.0
-    found = await watched.hear([force(0.0), force(0.1, mm=mm, on=on)])
+    found = await watched.read([force(0.0), force(0.1, mm=mm, on=on)])
     assert isinstance(found, SafetyStop) is stops
-    assert not stops or "contact 10.10 mm out of its rest, and its stroke is 10 mm" in str(found)
+    assert not stops or "contact at 10.10 mm extension, and its stroke is 10 mm" in str(found)
 
 
 async def test_once_it_is_left_only_faults_count_and_the_place() -> None:
-    """The force goes then, by order."""
+    """The daemon has commanded the force off."""
     watched = Watched()
     watched.touch.left = True
-    assert await watched.hear([force(0.0), force(9.0, 0.0, on=False)]) is None
+    assert await watched.read([force(0.0), force(9.0, 0.0, on=False)]) is None
     assert not watched.watch.landed.is_set()
-    assert isinstance(await watched.hear([force(10.0, fault=1)]), DeviceFault)
-    assert isinstance(await watched.hear([force(10.0, mm=9.0)]), WrongSeat)
+    assert isinstance(await watched.read([force(10.0, fault=1)]), DeviceFault)
+    assert isinstance(await watched.read([force(10.0, mm=9.0)]), WrongSeat)
 
 
 async def test_it_has_landed_with_the_first_sample_in_its_band() -> None:
     watched = Watched()
-    await watched.hear([force(0.0, 8.9), force(0.1, on=False)])
+    await watched.read([force(0.0, 8.9), force(0.1, on=False)])
     assert not watched.watch.landed.is_set()
-    await watched.hear([force(0.2, 9.0)])
+    await watched.read([force(0.2, 9.0)])
     assert watched.watch.landed.is_set()
 
 
@@ -148,23 +148,23 @@ async def test_it_has_landed_with_the_first_sample_in_its_band() -> None:
 )
 async def test_speed_of_the_spindle(samples: list[SpeedSample], error: type[Exception] | None) -> None:
     watched = Watched()
-    assert type(await watched.hear(samples)) is (error or type(None))
+    assert type(await watched.read(samples)) is (error or type(None))
     assert watched.touch.speeds == samples[: len(watched.touch.speeds)]
     assert len(watched.touch.speeds) >= 1
-    assert list(watched.fake.cell.heard_s) == ["spindle"]
+    assert list(watched.fake.cell.answered_s) == ["spindle"]
 
 
 @pytest.mark.parametrize(("rpm", "stops"), [(STILL_RPM, False), (-STILL_RPM, False), (STILL_RPM + 0.1, True)])
 async def test_a_spindle_that_is_told_to_rest_may_read_a_little(rpm: float, stops: bool) -> None:
     assert STILL_RPM == 5.0
     watched = Watched(ContactLimits(force_n=0.5, rpm=0.0, force_band=0.25, alarm_delay_s=0.5))
-    found = await watched.hear([speed(0.0, 0.0), speed(9.0, rpm)])
+    found = await watched.read([speed(0.0, 0.0), speed(9.0, rpm)])
     assert isinstance(found, SafetyStop) is stops
 
 
 async def test_one_that_turns_the_other_way_is_held_against_its_own_speed() -> None:
     watched = Watched(ContactLimits(force_n=0.5, rpm=-1000.0, force_band=0.25, alarm_delay_s=0.5))
-    assert await watched.hear([speed(0.0, -1000.0), speed(9.0, -960.0)]) is None
+    assert await watched.read([speed(0.0, -1000.0), speed(9.0, -960.0)]) is None
 
 
 @pytest.mark.parametrize("sample", [force(0.0), speed(0.0)])
@@ -180,7 +180,7 @@ async def test_samples_that_end_are_a_lost_link(sample: Any) -> None:
 
 @pytest.mark.parametrize("force_n", [math.nan, math.inf, -12.0])
 async def test_a_force_that_is_no_force_is_not_in_its_band(force_n: float) -> None:
-    assert isinstance(await Watched().hear([force(0.0), force(0.6, force_n)]), SafetyStop)
+    assert isinstance(await Watched().read([force(0.0), force(0.6, force_n)]), SafetyStop)
 
 
 async def test_who_hears_all_the_time_is_not_silent_however_long() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from polishd.daemon.contact.contact_record import LUMP_S, ContactRecord
+from polishd.daemon.contact.contact_record import REPORT_S, ContactRecord
 from tests.unit.daemon.contact.test_contact_record_touch import LATE_S, Contact
 
 
@@ -11,7 +11,7 @@ def test_a_sample_of_the_moment_in_which_the_robot_is_told_to_run_counts() -> No
     contact.touch = ContactRecord(contact.records.extend, LATE_S)
     contact.force(0.5)
     contact.touch.begin(0.5)
-    contact.told(0, 0.6)
+    contact.block(0, 0.6)
     contact.force(0.7)
     contact.force(0.8)
     assert contact.touched == {0: True}
@@ -19,9 +19,9 @@ def test_a_sample_of_the_moment_in_which_the_robot_is_told_to_run_counts() -> No
 
 def test_the_mean_of_a_block_begins_with_the_last_sample_before_it() -> None:
     contact = Contact()
-    contact.told(0, 1.0)
+    contact.block(0, 1.0)
     contact.force(1.0, 20.0)
-    contact.told(1, 2.0)
+    contact.block(1, 2.0)
     contact.touch.leave()
     contact.touch.flush()
     assert [record.force_n for record in contact.records] == [16.0, 20.0]
@@ -33,28 +33,28 @@ def test_samples_that_no_block_needs_any_more_are_not_kept() -> None:
         contact.force(k / 20)
         contact.speed(k / 20)
         if k % 10 == 0:
-            contact.told(k, k / 20)
+            contact.block(k, k / 20)
     assert len(contact.touch._force) <= 12
     assert len(contact.touch._rpm) <= 12
 
 
 def test_a_block_exactly_a_lump_later_is_of_the_same_word() -> None:
     contact = Contact()
-    contact.told(0, 1.0)
-    contact.told(1, 1.0 + LUMP_S)
-    contact.told(2, 1.0 + 2 * LUMP_S)
+    contact.block(0, 1.0)
+    contact.block(1, 1.0 + REPORT_S)
+    contact.block(2, 1.0 + 2 * REPORT_S)
     contact.force(1.1)
     contact.force(1.2)
-    assert [record.told_s for record in contact.records] == [1.0, 1.0, 1.0 + 2 * LUMP_S]
+    assert [record.told_s for record in contact.records] == [1.0, 1.0, 1.0 + 2 * REPORT_S]
 
 
 def test_what_runs_from_the_moment_on_in_which_the_tool_is_off_is_not_touched() -> None:
     contact = Contact()
-    contact.told(0, 3.0)
+    contact.block(0, 3.0)
     contact.touch.leave()
     contact.touch.off(4.5)
-    contact.told(1, 6.0)
-    contact.told(2, 6.1)
+    contact.block(1, 6.0)
+    contact.block(2, 6.1)
     assert contact.touch.up, "the word of 6.1 can be late by so much that it began at 4.6"
     contact.touch.flush()
     assert contact.touched == {0: None, 1: None, 2: False}

@@ -1,4 +1,4 @@
-"""Two words on one force: apart for too long they end contact, and it is said who left the set point first."""
+"""Two readings of one force: a long disagreement ends contact, and the error names which left the set point first."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from polishd.model.errors import ForcesApart, SafetyStop
 STEP_S = 0.05
 
 
-class Words:
-    """A check that hears both words every 50 ms."""
+class Forces:
+    """A check that gets both readings every 50 ms."""
 
     def __init__(self, set_n: float = 12.0, max_difference_n: float = 1.0, *, set_band: float = 0.25) -> None:
         self.check = ForceCheck(set_n, max_difference_n, 0.5, set_band=set_band, set_alarm_delay_s=0.3)
         self.at_s = 100.0
 
-    def hear(self, actuator_n: float, sensor_n: float, seconds: float = STEP_S, *, landed: bool = True) -> None:
+    def read(self, actuator_n: float, sensor_n: float, seconds: float = STEP_S, *, landed: bool = True) -> None:
         for _ in range(round(seconds / STEP_S)):
             self.at_s += STEP_S
             self.check.actuator(self.at_s, actuator_n)
@@ -27,73 +27,73 @@ class Words:
 
 
 @pytest.fixture
-def words() -> Words:
-    return Words()
+def forces() -> Forces:
+    return Forces()
 
 
-def test_words_within_the_band_agree(words: Words) -> None:
+def test_words_within_the_band_agree(forces: Forces) -> None:
     for sensor_n in (11.0, 12.0, 13.0):
-        words.hear(12.0, sensor_n, 5.0)
+        forces.read(12.0, sensor_n, 5.0)
 
 
-def test_a_short_disagreement_is_none(words: Words) -> None:
-    words.hear(12.0, 12.0, 1.0)
+def test_a_short_disagreement_is_none(forces: Forces) -> None:
+    forces.read(12.0, 12.0, 1.0)
     for _ in range(10):
-        words.hear(12.0, 14.0, 0.4)
-        words.hear(12.0, 12.0, 0.1)
+        forces.read(12.0, 14.0, 0.4)
+        forces.read(12.0, 12.0, 0.1)
 
 
-def test_a_sensor_that_leaves_is_named_with_both_values_and_the_set_point(words: Words) -> None:
-    words.hear(12.0, 12.0, 1.0)
+def test_a_sensor_that_leaves_is_named_with_both_values_and_the_set_point(forces: Forces) -> None:
+    forces.read(12.0, 12.0, 1.0)
     with pytest.raises(ForcesApart) as stop:
-        words.hear(12.02, 10.5, 1.0)
+        forces.read(12.02, 10.5, 1.0)
     assert str(stop.value) == (
-        "the forces disagree: the actuator says 12.02 N, the force sensor 10.50 N, the set point is 12 N; 1.52 N "
+        "the forces disagree: the actuator reads 12.02 N, the force sensor 10.50 N, the set point is 12 N; 1.52 N "
         "apart, at most 1 N (force_sensor.max_difference_n), for more than 0.5 s; "
         "the force sensor left the set point first"
     )
-    assert words.at_s == pytest.approx(101.0 + 0.5, abs=2 * STEP_S), "no sooner than after the grace, and no later"
+    assert forces.at_s == pytest.approx(101.0 + 0.5, abs=2 * STEP_S), "no sooner than after the grace, and no later"
 
 
-def test_an_actuator_that_leaves_first_is_named(words: Words) -> None:
-    words.hear(12.0, 12.0, 1.0)
-    words.hear(11.4, 12.0, 0.3)
-    words.hear(11.4, 12.55, 0.3)
+def test_an_actuator_that_leaves_first_is_named(forces: Forces) -> None:
+    forces.read(12.0, 12.0, 1.0)
+    forces.read(11.4, 12.0, 0.3)
+    forces.read(11.4, 12.55, 0.3)
     with pytest.raises(ForcesApart, match="the actuator left the set point first"):
-        words.hear(11.4, 12.6, 1.0)
+        forces.read(11.4, 12.6, 1.0)
 
 
-def test_one_that_comes_back_has_not_left(words: Words) -> None:
-    words.hear(12.0, 12.0, 1.0)
-    words.hear(11.3, 12.0, 0.3)
-    words.hear(12.0, 12.0)
+def test_one_that_comes_back_has_not_left(forces: Forces) -> None:
+    forces.read(12.0, 12.0, 1.0)
+    forces.read(11.3, 12.0, 0.3)
+    forces.read(12.0, 12.0)
     with pytest.raises(ForcesApart, match=r"the force sensor left the set point first"):
-        words.hear(12.0, 13.5, 1.0)
+        forces.read(12.0, 13.5, 1.0)
 
 
-def test_a_drift_ends_contact_where_the_band_ends(words: Words) -> None:
-    words.hear(12.0, 12.0, 1.0)
+def test_a_drift_ends_contact_where_the_band_ends(forces: Forces) -> None:
+    forces.read(12.0, 12.0, 1.0)
     drifts_n = iter([0.02 * step for step in range(200)])
 
     def drift() -> None:
         for drift_n in drifts_n:
-            words.hear(12.0, 12.0 - drift_n)
+            forces.read(12.0, 12.0 - drift_n)
 
     with pytest.raises(ForcesApart):
         drift()
     assert next(drifts_n) == pytest.approx(1.0 + 0.02 * 0.5 / STEP_S, abs=0.06)
 
 
-def test_nan_is_no_agreement(words: Words) -> None:
-    words.hear(12.0, 12.0, 1.0)
+def test_nan_is_no_agreement(forces: Forces) -> None:
+    forces.read(12.0, 12.0, 1.0)
     with pytest.raises(SafetyStop):
-        words.hear(12.0, math.nan, 1.0)
+        forces.read(12.0, math.nan, 1.0)
 
 
-def test_an_actuator_that_feels_nothing_and_presses_on_is_stopped_while_it_lands(words: Words) -> None:
-    words.hear(0.0, 0.0, 2.0, landed=False)
-    with pytest.raises(ForcesApart, match="neither has kept to the set point"):
-        words.hear(0.7, 3.0, 1.0, landed=False)
+def test_an_actuator_that_feels_nothing_and_presses_on_is_stopped_while_it_lands(forces: Forces) -> None:
+    forces.read(0.0, 0.0, 2.0, landed=False)
+    with pytest.raises(ForcesApart, match="neither stayed at the set point"):
+        forces.read(0.7, 3.0, 1.0, landed=False)
 
 
 @pytest.mark.parametrize(
@@ -108,18 +108,18 @@ def test_an_actuator_that_feels_nothing_and_presses_on_is_stopped_while_it_lands
 def test_a_force_that_only_one_of_them_feels_ends_landing_and_contact(
     actuator_n: float, sensor_n: float, said: str, landed: bool
 ) -> None:
-    words = Words()
-    words.hear(0.0, 0.0, 2.0, landed=False)
-    began_s = words.at_s + STEP_S
+    forces = Forces()
+    forces.read(0.0, 0.0, 2.0, landed=False)
+    began_s = forces.at_s + STEP_S
     with pytest.raises(ForcesApart, match=said):
-        words.hear(actuator_n, sensor_n, 5.0, landed=landed)
-    assert words.at_s - began_s == pytest.approx(0.225, abs=0.026)
+        forces.read(actuator_n, sensor_n, 5.0, landed=landed)
+    assert forces.at_s - began_s == pytest.approx(0.225, abs=0.026)
 
 
-def test_a_force_that_one_of_them_feels_first_is_none(words: Words) -> None:
+def test_a_force_that_one_of_them_feels_first_is_none(forces: Forces) -> None:
     for _ in range(5):
-        words.hear(12.0, 0.0, 0.2)
-        words.hear(12.0, 12.0, 0.1)
+        forces.read(12.0, 0.0, 0.2)
+        forces.read(12.0, 12.0, 0.1)
 
 
 def test_a_slow_sensor_has_its_delay_to_tell() -> None:
@@ -128,28 +128,28 @@ def test_a_slow_sensor_has_its_delay_to_tell() -> None:
     assert ForceCheck(12.0, 1.0, 5.0, set_band=0.25, set_alarm_delay_s=5.0, delay_s=0.1).one_sided_s == 0.2
 
 
-def test_one_that_has_not_been_heard_since_is_not_held_against_the_other(words: Words) -> None:
+def test_one_that_has_not_been_heard_since_is_not_held_against_the_other(forces: Forces) -> None:
     """A link that asks again: its last word is of before the tool landed."""
-    words.hear(0.0, 0.0, 1.0, landed=False)
+    forces.read(0.0, 0.0, 1.0, landed=False)
     for _ in range(6):
-        words.at_s += STEP_S
-        words.check.actuator(words.at_s, 12.0)
-    words.hear(12.0, 12.0, 1.0)
+        forces.at_s += STEP_S
+        forces.check.actuator(forces.at_s, 12.0)
+    forces.read(12.0, 12.0, 1.0)
 
 
 # the largest force
 
 
-def ceiling() -> ForceCeiling:
+def make_ceiling() -> ForceCeiling:
     return ForceCeiling("actuator", 12.0, band=0.25, most_n=18.0, key="process.force_max_n")
 
 
 def readings(forces_n: list[float], step_s: float = STEP_S) -> str:
     """Why the first of them that ends contact does, and empty where none does."""
-    heard = ceiling()
+    ceiling = make_ceiling()
     for number, force_n in enumerate(forces_n):
         try:
-            heard.hear(100.0 + number * step_s, force_n)
+            ceiling.check(100.0 + number * step_s, force_n)
         except SafetyStop as stop:
             assert number == len(forces_n) - 1, f"{forces_n[number:]} come after it"
             return str(stop)
@@ -177,19 +177,19 @@ def test_a_rise_that_would_pass_it_before_the_next_reading_counts() -> None:
 
 
 def test_readings_that_come_together_do_not_make_a_steep_rise_of_noise() -> None:
-    heard = ceiling()
+    ceiling = make_ceiling()
     for number in range(5):
-        heard.hear(100.0 + number * STEP_S, 16.0)
-    heard.hear(100.201, 16.1)
-    heard.hear(100.3, 16.0)
-    heard.hear(100.3, 17.9)  # of the same time: nothing follows from it
+        ceiling.check(100.0 + number * STEP_S, 16.0)
+    ceiling.check(100.201, 16.1)
+    ceiling.check(100.3, 16.0)
+    ceiling.check(100.3, 17.9)  # of the same time: nothing follows from it
 
 
 def test_a_long_interval_is_not_followed_for_as_long_again() -> None:
-    heard = ceiling()
+    ceiling = make_ceiling()
     for number in range(5):
-        heard.hear(100.0 + number * STEP_S, 12.0)
-    heard.hear(101.2, 16.5)
+        ceiling.check(100.0 + number * STEP_S, 12.0)
+    ceiling.check(101.2, 16.5)
 
 
 def test_who_else_reads_what_is_said() -> None:
@@ -201,34 +201,34 @@ def test_who_else_reads_what_is_said() -> None:
         check.monitor("load_cell", 1.02, 20.0)
 
 
-def test_a_landing_is_steep_and_no_disagreement(words: Words) -> None:
-    words.hear(0.0, 0.0, 2.0, landed=False)
-    words.hear(12.0, 0.0, 0.2)
-    words.hear(12.0, 12.0, 3.0)
+def test_a_landing_is_steep_and_no_disagreement(forces: Forces) -> None:
+    forces.read(0.0, 0.0, 2.0, landed=False)
+    forces.read(12.0, 0.0, 0.2)
+    forces.read(12.0, 12.0, 3.0)
 
 
-# by itself: what both agree on, and is still not what was asked for
+# both agree, and the force is still not at the set point
 
 
 def test_a_sensor_off_the_set_point_by_itself_ends_contact() -> None:
-    words = Words(set_n=0.8, set_band=0.25)
-    words.hear(0.8, 0.8, 1.0)
-    with pytest.raises(ForcesApart, match=r"1.30 N is outside 0.8 N \+- 25% .* the actuator says 0.80 N"):
-        words.hear(0.8, 1.3, 1.0)
-    assert not words.check.sensor_fits
+    forces = Forces(set_n=0.8, set_band=0.25)
+    forces.read(0.8, 0.8, 1.0)
+    with pytest.raises(ForcesApart, match=r"1.30 N is outside 0.8 N \+- 25% .* the actuator reads 0.80 N"):
+        forces.read(0.8, 1.3, 1.0)
+    assert not forces.check.sensor_fits
 
 
 def test_it_may_be_too_low_until_the_tool_has_landed_and_never_too_high() -> None:
-    words = Words(set_n=0.8)
-    words.hear(0.0, 0.1, 5.0, landed=False)
+    forces = Forces(set_n=0.8)
+    forces.read(0.0, 0.1, 5.0, landed=False)
     with pytest.raises(ForcesApart, match=r"by the force sensor 1.05 N is outside 0.8 N"):
-        words.hear(0.5, 1.05, 1.0, landed=False)
+        forces.read(0.5, 1.05, 1.0, landed=False)
 
 
 def test_after_landing_too_low_counts() -> None:
-    words = Words(set_n=0.8)
+    forces = Forces(set_n=0.8)
     with pytest.raises(ForcesApart, match=r"by the force sensor 0.10 N"):
-        words.hear(0.8, 0.1, 5.0)
+        forces.read(0.8, 0.1, 5.0)
 
 
 # with the tool up
@@ -237,10 +237,10 @@ def test_after_landing_too_low_counts() -> None:
 @pytest.mark.parametrize(
     ("actuator_n", "sensor_n", "says"),
     [
-        (2.9, 0.1, "suspected is the actuator"),
-        (0.1, -2.9, "suspected is the force sensor"),
-        (0.1, 0.1, "which of them is wrong that does not tell; try both with a weight"),
-        (2.0, 2.0, "which of them is wrong that does not tell"),
+        (2.9, 0.1, "the actuator is probably wrong"),
+        (0.1, -2.9, "the force sensor is probably wrong"),
+        (0.1, 0.1, "does not show which of them is wrong. Check both with a weight"),
+        (2.0, 2.0, "does not show which of them is wrong"),
     ],
 )
 def test_who_does_not_read_zero_where_the_force_is_zero_is_suspected(

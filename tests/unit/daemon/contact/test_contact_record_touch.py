@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.daemon.contact.contact_record import LUMP_S, ContactRecord
+from polishd.daemon.contact.contact_record import REPORT_S, ContactRecord
 from polishd.daemon.journal.records import BlockRecord
 from polishd.model.devices import ExecutedBlock, ForceSample, SensedForce, SpeedSample
 
@@ -26,8 +26,8 @@ class Contact:
     def speed(self, at_s: float, rpm: float = 1000.0) -> None:
         self.touch.speed(SpeedSample(at_s, rpm, 1000.0))
 
-    def told(self, seq: int, at_s: float) -> None:
-        self.touch.told(ExecutedBlock(seq, float(seq), seq + 1.0), at_s)
+    def block(self, seq: int, at_s: float) -> None:
+        self.touch.add_block(ExecutedBlock(seq, float(seq), seq + 1.0), at_s)
 
     @property
     def touched(self) -> dict[int, bool | None]:
@@ -40,11 +40,11 @@ def contact() -> Contact:
 
 
 def test_a_block_between_samples_in_contact_touched(contact: Contact) -> None:
-    contact.told(0, 0.1)
+    contact.block(0, 0.1)
     contact.force(0.15)
     assert contact.records == [], "this one may have been read before the block ended"
     assert not contact.touch.known.is_set()
-    contact.told(1, 0.2)
+    contact.block(1, 0.2)
     contact.force(0.2)
     assert contact.touched == {0: True}
     contact.force(0.25)
@@ -54,7 +54,7 @@ def test_a_block_between_samples_in_contact_touched(contact: Contact) -> None:
 
 def test_contact_that_is_lost_after_a_block_leaves_it_unknown(contact: Contact) -> None:
     contact.force(0.05)
-    contact.told(0, 0.1)
+    contact.block(0, 0.1)
     contact.force(0.15, 0.0, on=False)
     contact.force(0.2, 0.0, on=False)
     assert contact.touched == {0: None}
@@ -65,18 +65,18 @@ def test_a_sample_that_lay_on_the_wire_while_the_daemon_stood_still_tells_of_no_
 ) -> None:
     """Read before the daemon was stopped, taken when it went on; meanwhile the actuator's watchdog has lifted."""
     for seq in range(5):
-        contact.told(seq, 3.0)
+        contact.block(seq, 3.0)
     contact.force(3.0)
     contact.force(3.05, 0.0, on=False)
     assert set(contact.touched.values()) == {None}
 
 
 def test_contact_that_comes_back_counts_once_no_word_can_be_older(contact: Contact) -> None:
-    contact.told(0, 1.0)
+    contact.block(0, 1.0)
     contact.force(1.05, 0.0, on=False)
     contact.force(1.1)
     for seq, at_s in enumerate((1.2, 2.5, 2.7, 2.9), start=1):
-        contact.told(seq, at_s)
+        contact.block(seq, at_s)
         contact.force(at_s + 0.05)
         contact.force(at_s + 0.1)
     # the block of 2.9 began after the word of 2.7, which may be 1.5 s late: contact had come back by then
@@ -86,11 +86,11 @@ def test_contact_that_comes_back_counts_once_no_word_can_be_older(contact: Conta
 def test_force_and_speed_are_means_of_the_samples_around(contact: Contact) -> None:
     contact.force(1.0, 10.0)
     contact.speed(1.0, 990.0)
-    contact.told(0, 1.0)
+    contact.block(0, 1.0)
     for at_s, force_n in ((1.05, 10.0), (1.1, 11.0), (1.2, 13.0), (1.3, 15.0)):
         contact.force(at_s, force_n)
     contact.speed(1.25, 1010.0)
-    contact.told(1, 1.3)
+    contact.block(1, 1.3)
     contact.force(1.35, 16.0)
     contact.force(1.4, 17.0)
     first, second = contact.records
@@ -100,13 +100,13 @@ def test_force_and_speed_are_means_of_the_samples_around(contact: Contact) -> No
 
 
 def test_blocks_of_one_word_share_its_time(contact: Contact) -> None:
-    """The robot tells of many at once: each lies somewhere between this word and the one before."""
-    contact.told(0, 1.0)
+    """One report has many blocks: each lies between this report and the one before."""
+    contact.block(0, 1.0)
     contact.force(1.0, 8.0)
-    contact.told(1, 2.0)
-    contact.told(2, 2.0 + LUMP_S / 2)
-    contact.force(2.0 + LUMP_S / 2, 16.0)
-    contact.told(3, 2.0 + LUMP_S)  # of the same word, and after the sample
+    contact.block(1, 2.0)
+    contact.block(2, 2.0 + REPORT_S / 2)
+    contact.force(2.0 + REPORT_S / 2, 16.0)
+    contact.block(3, 2.0 + REPORT_S)  # of the same report, and after the sample
     contact.force(2.1, 16.0)
     assert contact.touched == {0: True, 1: True, 2: True}
     contact.force(2.2, 16.0)
@@ -117,23 +117,23 @@ def test_blocks_of_one_word_share_its_time(contact: Contact) -> None:
 
 def test_the_independent_sensor_has_a_mean_of_its_own(contact: Contact) -> None:
     contact.touch.sensed(SensedForce(0.5, 11.0))
-    contact.told(0, 1.0)
+    contact.block(0, 1.0)
     contact.force(1.05)
     contact.touch.sensed(SensedForce(1.0, 12.0))
     contact.force(1.1)
-    contact.told(1, 2.0)
+    contact.block(1, 2.0)
     contact.force(2.05)
     contact.force(2.1)
     first, second = contact.records
     assert (first.force_n, first.sensor_force_n) == (12.0, 11.5)
-    assert second.sensor_force_n == 12.0, "the last that came: a sensor may be slower than the robot tells"
+    assert second.sensor_force_n == 12.0, "the latest one: a sensor may be slower than the robot's reports"
 
 
 def test_no_sample_is_no_knowledge() -> None:
     records: list[BlockRecord] = []
     touch = ContactRecord(records.extend, LATE_S)
     touch.begin(0.0)
-    touch.told(ExecutedBlock(0, 0.0, 1.0), 1.0)
+    touch.add_block(ExecutedBlock(0, 0.0, 1.0), 1.0)
     touch.leave()
     touch.flush()
     assert records == [BlockRecord(ExecutedBlock(0, 0.0, 1.0), None, None, None, 1.0)]
@@ -143,13 +143,13 @@ def test_no_sample_is_no_knowledge() -> None:
 
 
 def test_an_actuator_that_dies_leaves_what_no_later_sample_tells_of_unknown(contact: Contact) -> None:
-    """It lost its power after 3.0 s, and the link tells so before the next sample is due."""
-    contact.told(0, 2.9)
+    """It lost its power after 3.0 s, and the link reports it before the next sample is due."""
+    contact.block(0, 2.9)
     contact.force(2.95)
-    contact.told(1, 2.99)
+    contact.block(1, 2.99)
     contact.force(3.0)
-    contact.told(2, 3.01)
-    contact.told(3, 3.04)
+    contact.block(2, 3.01)
+    contact.block(3, 3.04)
     contact.touch.leave()
     assert contact.touched == {0: True}, "a journal that is lost keeps no tool on the part"
     contact.touch.flush()
@@ -161,12 +161,12 @@ def test_an_actuator_that_dies_leaves_what_no_later_sample_tells_of_unknown(cont
 def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Contact) -> None:
     contact.force(3.0)
     contact.touch.leave()
-    contact.force(3.05, 0.1)  # tells nothing: the tool rests on the part for half of its lift
+    contact.force(3.05, 0.1)  # no information: the tool rests on the part for half of its lift
     for seq, at_s in enumerate((3.1, 4.0, 5.0, 6.0, 6.6, 8.0)):
         if at_s == 5.0:
             contact.touch.off(4.5)
             contact.touch.off(9.0)  # by its watchdog it would have been off then
-        contact.told(seq, at_s)
+        contact.block(seq, at_s)
     # the word of 6.0 may be 1.5 s late: what follows it is the first that began after the lift for sure
     assert contact.touched == {0: None, 1: None, 2: None, 3: None, 4: False, 5: False}
     assert [record.force_n for record in contact.records] == [None] * 6
@@ -187,11 +187,11 @@ def test_a_robot_that_takes_the_tool_off_moves_while_it_presses() -> None:
 
 def test_what_follows_the_last_word(contact: Contact) -> None:
     assert contact.touch.ran
-    contact.told(0, 3.0)
+    contact.block(0, 3.0)
     contact.touch.leave()
     assert not contact.touch.up
     contact.touch.off(2.0)
     assert not contact.touch.up, "the robot's word may be late"
     contact.touch.off(1.5)
     assert contact.touch.up
-    assert (contact.touch.last_seq, contact.touch.told_s) == (0, 3.0)
+    assert (contact.touch.last_seq, contact.touch.reported_s) == (0, 3.0)

@@ -1,4 +1,4 @@
-"""After an interrupted pass: nothing is run twice, and what is not known is said, and no more than that."""
+"""After an interrupted pass: no block runs twice, and only blocks of unknown contact are uncertain."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def interrupted(
     off_from: int = BLOCKS,
     boot_id: str = "boot-1",
 ) -> None:
-    """A pass that was begun; blocks of contact are recorded up to there, one told each ``wall_s``."""
+    """A pass that was begun; blocks of contact are recorded up to there, one reported each ``wall_s``."""
     plan = journal.arrays.put(PLAN)
     journal.begin_pass(2, "sha", boot_id, BLOCKS, contact=CONTACT, plan=plan, reach_s=reach_s)
     for seq in range(CONTACT[0], until):
@@ -149,7 +149,7 @@ async def test_the_way_in_is_not_touched(fake: FakeCell, journal: Journal) -> No
 
 
 async def test_what_was_marked_when_contact_was_left_is_the_bound(fake: FakeCell, journal: Journal) -> None:
-    """The link was lost then; now the robot tells what ran, and the lift had been confirmed."""
+    """The link was lost; now the robot reports what ran, and the lift was confirmed."""
     interrupted(journal)
     journal.mark_uncertain(2, 18, 20)
     await settle_interrupted_pass(fake.cell, journal)
@@ -171,7 +171,7 @@ async def test_a_robot_that_still_runs_is_not_taken_to_stand(fake: FakeCell, jou
 async def test_what_a_robot_without_a_boot_id_does_not_tell_may_be_executed(
     fake: FakeCell, journal: Journal, marked: tuple[int, int] | None
 ) -> None:
-    """Its driver has followed it until the link was lost, and no further; it went on by itself."""
+    """The driver followed the robot until the link was lost; the robot went on without it."""
     interrupted(journal, boot_id="")
     fake.robot.boot_id, fake.robot.done, fake.robot.until = "", 18, 18
     if marked:
@@ -186,7 +186,7 @@ async def test_a_robot_that_has_forgotten(fake: FakeCell, journal: Journal, fiel
     setattr(fake.robot, field, value)
     interrupted(journal)
     said = await settle_interrupted_pass(fake.cell, journal)
-    assert "uncertain: blocks 18 to 24 (as far as the tool can have come: the robot does not remember)" in said
+    assert "uncertain: blocks 18 to 24 (estimated: the robot has no record of this pass)" in said
     assert list(journal.executed(2).seq) == list(range(5, 18)), "what another run says is not believed"
     assert journal.passes[0].how == "interrupted"
 
@@ -195,7 +195,7 @@ async def test_a_robot_that_has_forgotten(fake: FakeCell, journal: Journal, fiel
     ("recorded", "wall_s", "reach_s", "end"),
     [
         (18, 1.0, 2.0, 21),
-        (18, 0.5, 2.0, 24),  # twice as fast as is written: somebody turned the override up
+        (18, 0.5, 2.0, 24),  # twice the programmed speed: an operator raised the override
         (18, 5.0, 2.0, 20),  # slower; but it may have gone on at full speed
         (18, 1.0, None, 35),  # an earlier polishd did not say
         (7, 1.0, 2.0, 35),  # too little to know how fast
@@ -248,8 +248,8 @@ async def test_a_robot_that_stops_amid_its_account(
     progress = fake.robot.progress
 
     async def boasts() -> object:
-        told = await progress()
-        return type(told)(told.state, told.program_sha256, 40, 30, 0.0, told.boot_id)
+        found = await progress()
+        return type(found)(found.state, found.program_sha256, 40, 30, 0.0, found.boot_id)
 
     fake.robot.progress = boasts  # type: ignore[method-assign, assignment]
     assert "18 to 24" in await settle_interrupted_pass(fake.cell, journal)
@@ -264,12 +264,12 @@ async def test_settling_twice_says_nothing_the_second_time(fake: FakeCell, journ
 # when contact is left
 
 
-def left(journal: Journal, *, off_s: float, told_s: float, seq: int = 17) -> ContactRecord:
-    """A contact that was left: when the robot told of a block last, and from when on the tool is off."""
+def left(journal: Journal, *, off_s: float, reported_s: float, seq: int = 17) -> ContactRecord:
+    """A contact that was left: time of the robot's latest report, and from when on the tool is off."""
     touch = ContactRecord(lambda records: journal.record_executed(2, records), 1.5)
     touch.begin(0.0)
     touch.leave()
-    touch.told(ExecutedBlock(seq, float(seq), seq + 1.0), told_s)
+    touch.add_block(ExecutedBlock(seq, float(seq), seq + 1.0), reported_s)
     touch.off(off_s)
     return touch
 
@@ -281,14 +281,14 @@ def left(journal: Journal, *, off_s: float, told_s: float, seq: int = 17) -> Con
         (RobotProgress("running", "sha", 40, 18, 9.0), 103.0, (18, 23)),  # 3 s, and its word may have been late
         (None, 103.0, (18, 23)),
         (None, 98.0, (18, 18)),  # it was off before this one began
-        (None, float("inf"), (18, 35)),  # nobody knows that it is off
+        (None, float("inf"), (18, 35)),  # not known to be off
     ],
 )
 async def test_what_can_be_touched_after_the_last_word(
     fake: FakeCell, journal: Journal, robot: RobotProgress | None, off_s: float, marked: tuple[int, int]
 ) -> None:
     interrupted(journal, 17)
-    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=off_s, told_s=100.0), robot)
+    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=off_s, reported_s=100.0), robot)
     assert journal.passes[0].uncertain == marked
     assert journal.passes[0].ended_s is None, "the robot may still tell"
 
@@ -316,9 +316,9 @@ async def test_a_robot_that_took_the_tool_off_its_landing_point_moved_in_the_fir
 async def test_a_robot_that_took_the_tool_off_at_the_end_moved_in_the_block_after_it(
     fake: FakeCell, journal: Journal, lifts_s: float, marked: tuple[int, int]
 ) -> None:
-    """The actuator fell silent as it was told to leave the other landing point; the next start says the same."""
+    """The actuator fell silent at the retract on the other landing point; the next start reports the same."""
     interrupted(journal, CONTACT[1] - 1)
-    touch = left(journal, seq=CONTACT[1] - 1, off_s=103.0, told_s=100.0)
+    touch = left(journal, seq=CONTACT[1] - 1, off_s=103.0, reported_s=100.0)
     touch.lifts(lifts_s)
     await mark_interrupted(fake.cell, journal, 2, touch, None)
     assert journal.passes[0].uncertain == marked

@@ -119,7 +119,7 @@ async def test_the_pass_that_is_marked_is_the_one_that_was_left(fake: FakeCell, 
     journal.begin_pass(1, "other", "boot-1", 3)
     journal.end_pass(1, "done")
     interrupted(journal, 17)
-    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=103.0, told_s=100.0), None)
+    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=103.0, reported_s=100.0), None)
     assert [(one.cycle, one.uncertain) for one in journal.passes] == [(1, None), (2, (18, 23))]
 
 
@@ -129,7 +129,7 @@ async def test_a_robot_that_stands_farther_on_than_it_told_may_have_touched_all_
 ) -> None:
     interrupted(journal, 17)
     robot = RobotProgress("held", "sha", BLOCKS, executed, 0.0)
-    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=103.0, told_s=100.0), robot)
+    await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=103.0, reported_s=100.0), robot)
     assert journal.passes[0].uncertain == (18, 23)
 
 

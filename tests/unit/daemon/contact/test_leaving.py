@@ -68,12 +68,12 @@ async def test_an_actuator_that_confirms_says_when_the_tool_was_off() -> None:
     assert touch.left
     assert left_s + fake.actuator.lifting_s <= touch.off_s <= fake.clock.at_s
     assert not touch.taken_off
-    assert set(fake.cell.heard_s) == {"actuator", "robot", "spindle"}
+    assert set(fake.cell.answered_s) == {"actuator", "robot", "spindle"}
 
 
 @pytest.mark.parametrize("error", [LinkError("gone"), TimeoutError()])
 async def test_one_that_cannot_be_asked_has_let_go_by_itself_after_its_own_time(error: Exception) -> None:
-    """The robot cannot lift either: whatever reached the actuator last, it lifts by itself."""
+    """The robot cannot lift either: the actuator's watchdog lifts, whatever command arrived last."""
     fake, touch = FakeCell(), untold()
     fake.robot.lifts = False
     fake.actuator.acts.fails["make_safe"] = error
@@ -131,19 +131,19 @@ async def test_no_other_device_says_anything_of_the_tool() -> None:
     for _ in range(50):
         await asyncio.sleep(0)
     assert touch.left
-    assert "spindle.left" in twins.cell.heard_s
+    assert "spindle.left" in twins.cell.answered_s
     assert touch.off_s == math.inf
     gate.set()
     while not leaving.done():
         twins.left.clock.advance(0.05)
         await asyncio.sleep(0)
     assert touch.off_s == math.inf
-    assert "actuator.left" not in twins.cell.heard_s
+    assert "actuator.left" not in twins.cell.answered_s
     assert twins.cell.unsafe == ("actuator.left: jammed", "actuator.right: gone")
 
 
 async def test_a_robot_waits_for_an_actuator_that_is_not_known_to_be_silent() -> None:
-    """It is asked to lift, and may take its time: nobody else lifts meanwhile."""
+    """It is commanded to lift and may be slow: no other device lifts meanwhile."""
     fake, touch = FakeCell(), untold()
     fake.actuator.retracted = False
     await make_safe(fake.cell, touch)

@@ -50,7 +50,7 @@ STALL_S = 0.05
 
 pytestmark = [
     pytest.mark.full,
-    pytest.mark.skipif(not SCHEDSTAT.exists(), reason="the kernel does not tell how long threads waited"),
+    pytest.mark.skipif(not SCHEDSTAT.exists(), reason="the kernel does not report how long threads waited"),
 ]
 
 
@@ -105,7 +105,7 @@ def kept_s() -> float:
 
 
 class LumpyRobot(FakeRobot):
-    """Tells what it executed 2,000 blocks at a time."""
+    """Reports its executed blocks in lumps of 2,000."""
 
     @property
     def buffer_s(self) -> float:

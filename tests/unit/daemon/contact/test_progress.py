@@ -93,7 +93,7 @@ def test_a_robot_that_stands_is_noticed_within_its_block_its_report_and_two_look
         run.block()
     stood_s, why = run.until_stopped(5.0)
     assert stood_s == pytest.approx(LATEST_S, abs=2 * STEP_S)
-    assert why.startswith("robot does not advance: block 33 expected 0.08 s, no progress for 0.4 s; feed override,")
+    assert why.startswith("robot does not advance: block 33 expected 0.08 s, no progress for 0.4 s. ")
 
 
 def test_the_block_under_way_counts_with_what_was_slow_before() -> None:
@@ -319,7 +319,7 @@ async def test_a_robot_that_stands_on_its_way_is_told_after_minutes(fake: FakeCe
 
 async def test_before_contact_a_low_override_is_refused_with_the_tool_up(fake: FakeCell) -> None:
     fake.robot.override = 0.5
-    with pytest.raises(DeviceRefused, match=r"speed override is 50%, at least 95% .* the tool was not put down"):
+    with pytest.raises(DeviceRefused, match=r"speed override is 50%, at least 95% .* the tool did not land"):
         await pass_of(fake)
     assert fake.robot.done == 3
 

@@ -213,20 +213,20 @@ async def test_a_landing_in_vain_says_what_was_read_last(fake: FakeCell) -> None
 async def test_a_signal_that_measures_the_force_has_the_same_limit(fake: FakeCell) -> None:
     limits = SignalLimits("load", "monitor", "AI7", "N", None, 0.0, None, 0.0, "hold", measures_force=True)
     fake.cell.signals = Signals([limits], {"monitor": 1.0})
-    fake.cell.signals.hear("monitor", Signal(0.0, "AI7", 30.0))  # nobody touches yet
+    fake.cell.signals.update("monitor", Signal(0.0, "AI7", 30.0))  # not in contact yet
 
-    async def told() -> None:
+    async def send() -> None:
         async with contact(fake.cell, CAPPED, untold()):
             for value in (12.0, None, 17.9):
-                fake.cell.signals.hear("monitor", Signal(0.0, "AI7", value))
-            fake.cell.signals.hear("monitor", Signal(0.0, "AI6", 30.0))
+                fake.cell.signals.update("monitor", Signal(0.0, "AI7", value))
+            fake.cell.signals.update("monitor", Signal(0.0, "AI6", 30.0))
             await asyncio.sleep(0)
             fake.events.append("so far")
-            fake.cell.signals.hear("monitor", Signal(0.0, "AI7", 30.0))
+            fake.cell.signals.update("monitor", Signal(0.0, "AI7", 30.0))
             await asyncio.Event().wait()
 
     with pytest.raises(SafetyStop, match=r"the signal load reads 30.00 N; at most 18 N may act"):
-        await told()
+        await send()
     assert fake.events == [*INTO, "so far", *SAFE]
 
 
@@ -313,7 +313,7 @@ async def test_silence_of_the_spindle(fake: FakeCell) -> None:
 
 
 async def test_an_actuator_that_falls_silent_is_left_by_the_robot_at_once(fake: FakeCell) -> None:
-    """Nobody waits for it: the spindle stops and the robot takes the tool away while it still moves."""
+    """No step waits for it: the spindle stops and the robot takes the tool away while it still moves."""
     fake.actuator.times = ActuatorTimes(silence_s=0.02, stroke_mm=12.0)
     task = asyncio.ensure_future(forever(fake))
     await until(fake, "pressing")
@@ -437,7 +437,7 @@ async def test_an_emergency_stops_motion_at_once_also_while_the_tool_is_lifted(f
     await lifting.wait()
     fake.cell.emergency = True
     await until(fake, "robot.make_safe")
-    assert LOOK_S < 0.1, "whoever asks for it does not wait for it"
+    assert LOOK_S < 0.1, "the caller does not wait for it"
     up.set()
     with pytest.raises(asyncio.CancelledError):
         await pressing
@@ -556,7 +556,7 @@ async def test_make_safe_does_not_wait_for_ever(fake: FakeCell, broken: str, mon
 
 
 async def test_at_rest_the_robot_is_never_told_to_lift(fake: FakeCell) -> None:
-    """At a start nothing moves by itself, whatever the actuator says."""
+    """At a start nothing moves, whatever the actuator reports."""
     fake.actuator.acts.fails["make_safe"] = LinkError("gone")
     await make_safe(fake.cell)
     assert not fake.of("robot.lift")
@@ -616,7 +616,7 @@ async def test_make_safe_hands_on_a_cancellation_that_came_meanwhile(fake: FakeC
 
 
 class Twins:
-    """Two robots, each with a tool of its own; the job uses the left ones."""
+    """Two robots, each with one tool; the job uses the left ones."""
 
     def __init__(self) -> None:
         self.left, self.right = FakeCell(), FakeCell()
@@ -679,7 +679,7 @@ async def test_only_the_jobs_devices_are_in_contact_and_its_robot_waits_for_its_
 
 
 async def test_an_idle_robot_that_moves_stops_once_every_tool_has_let_go() -> None:
-    """At a start nobody knows which robot was in contact with what."""
+    """At a start it is unknown which robot was in contact with which part."""
     twins = Twins()
     twins.right.actuator.acts.fails["make_safe"] = LinkError("gone")
     twins.right.robot.until = None  # it runs
@@ -712,11 +712,11 @@ async def test_a_robot_that_runs_waits_for_a_tool_that_this_process_could_not_op
     assert (stopped_s >= ActuatorTimes().alone_s - 0.1) is runs
 
 
-# the error that is told
+# the error that is raised
 
 
 @pytest.mark.parametrize(
-    ("errors", "told"),
+    ("errors", "raised"),
     [
         ([ValueError("x"), LinkError("l"), SafetyStop("s")], SafetyStop),
         ([ValueError("x"), LinkError("l")], LinkError),
@@ -725,8 +725,8 @@ async def test_a_robot_that_runs_waits_for_a_tool_that_this_process_could_not_op
         ([asyncio.CancelledError()], asyncio.CancelledError),
     ],
 )
-def test_most_telling(errors: list[BaseException], told: type[BaseException]) -> None:
-    assert type(root_cause(BaseExceptionGroup("group", errors))) is told
+def test_root_cause(errors: list[BaseException], raised: type[BaseException]) -> None:
+    assert type(root_cause(BaseExceptionGroup("group", errors))) is raised
 
 
 async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
@@ -738,7 +738,7 @@ async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
                 raise SafetyStop("and the stream starves")
 
     fake.spindle.reads = lambda s: replace(s, fault=3) if fake.clock.at_s > 2.5 else s
-    with pytest.raises(PolishdError) as told:
+    with pytest.raises(PolishdError) as raised:
         await starves()
-    assert type(told.value) is SafetyStop
+    assert type(raised.value) is SafetyStop
     assert fake.events[-4:] == SAFE

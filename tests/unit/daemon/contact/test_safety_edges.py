@@ -1,4 +1,4 @@
-"""Ways out of contact that few cells ever see: what is asked of whom, and which error is told."""
+"""Rare exits from contact: the commands to each device, and the error that is raised."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ async def test_an_idle_robot_that_does_not_say_whether_it_moves_counts_as_moving
     else:
         robot.acts.fails["progress"] = LinkError("cut")
     assert await twins.right_robot_stops_s() >= ActuatorTimes().alone_s - 0.1
-    assert "robot.right does not say whether it moves" in caplog.text
+    assert "robot.right does not report whether it moves" in caplog.text
 
 
 async def test_what_is_cancelled_from_within_is_told_at_once() -> None:
@@ -132,16 +132,16 @@ async def test_landing_has_its_own_time_and_then_the_grace() -> None:
 
 
 async def test_why_contact_is_left_is_told_before_anybody_has_confirmed() -> None:
-    """Seconds may pass until then, and whoever watches the cell wonders."""
-    fake, told = FakeCell(), list[tuple[str, list[str]]]()
-    fake.cell.on_broken = lambda error: told.append((str(error), [*fake.events]))
+    """Seconds may pass until the devices confirm; status has to show the error before."""
+    fake, errors = FakeCell(), list[tuple[str, list[str]]]()
+    fake.cell.on_broken = lambda error: errors.append((str(error), [*fake.events]))
     task = asyncio.ensure_future(forever(fake))
     await until(fake, "pressing")
     assert fake.cell.leaving == ""
     fake.spindle.ends = True
     with pytest.raises(LinkError, match="samples ended"):
         await task
-    ((why, before),) = told
+    ((why, before),) = errors
     assert fake.cell.leaving == f"LinkError: {why}"
     assert "spindle: its samples ended" in why
     assert not [one for one in before if "make_safe" in one]
@@ -151,19 +151,19 @@ async def test_why_contact_is_left_is_told_before_anybody_has_confirmed() -> Non
 
 
 async def test_an_order_is_no_error_over_which_contact_is_left() -> None:
-    fake, told = FakeCell(), list[BaseException]()
-    fake.cell.on_broken = told.append
+    fake, errors = FakeCell(), list[BaseException]()
+    fake.cell.on_broken = errors.append
     task = asyncio.ensure_future(forever(fake))
     await until(fake, "pressing")
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert (told, fake.cell.leaving) == ([], "")
+    assert (errors, fake.cell.leaving) == ([], "")
 
 
 async def test_what_ends_while_nothing_presses_breaks_no_contact() -> None:
-    fake, told = FakeCell(), list[BaseException]()
-    fake.cell.on_broken = told.append
+    fake, errors = FakeCell(), list[BaseException]()
+    fake.cell.on_broken = errors.append
 
     async def fails() -> None:
         raise LinkError("before it went down")
@@ -172,4 +172,4 @@ async def test_what_ends_while_nothing_presses_breaks_no_contact() -> None:
     task.add_done_callback(fake.cell.ended)
     with pytest.raises(LinkError):
         await task
-    assert (told, fake.cell.leaving) == ([], "")
+    assert (errors, fake.cell.leaving) == ([], "")

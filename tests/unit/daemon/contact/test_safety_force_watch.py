@@ -47,13 +47,13 @@ async def test_an_actuator_that_drifts_is_found_and_named(fake: FakeCell, sensor
     with pytest.raises(ForcesApart) as stop:
         await polish_for(fake, 5.0, LIMITS)
     assert fake.events == [*INTO, "pressing", *SAFE]
-    assert "the actuator says 12.00 N, the force sensor 9.00 N, the set point is 12 N" in str(stop.value)
-    assert str(stop.value).endswith("the actuator reads 3.00 N, the sensor 0.00 N: suspected is the actuator")
+    assert "the actuator reads 12.00 N, the force sensor 9.00 N, the set point is 12 N" in str(stop.value)
+    assert str(stop.value).endswith("the actuator reads 3.00 N, the sensor 0.00 N: the actuator is probably wrong")
 
 
 async def test_a_sensor_that_drifts_is_found_and_named(fake: FakeCell, sensor: FakeForceSensor) -> None:
     sensor.reads = lambda r: replace(r, force_n=r.force_n - 2.0) if "pressing" in fake.events else r
-    with pytest.raises(ForcesApart, match=r"the sensor -2.00 N: suspected is the force sensor"):
+    with pytest.raises(ForcesApart, match=r"the sensor -2.00 N: the force sensor is probably wrong"):
         await polish_for(fake, 5.0, LIMITS)
     assert fake.events == [*INTO, "pressing", *SAFE]
 
@@ -108,7 +108,7 @@ async def test_a_sensor_that_reads_nothing_while_the_tool_lands(fake: FakeCell, 
 
 
 async def test_landing_waits_for_the_sensor_to_read_the_force_too(fake: FakeCell, sensor: FakeForceSensor) -> None:
-    """The actuator says 12 N at once; by the sensor 12 N act 0.15 s later: nobody moves before."""
+    """The actuator says 12 N at once; by the sensor 12 N act 0.15 s later: nothing moves before."""
     landed: list[float] = []
 
     def late(reading: SensedForce) -> SensedForce:

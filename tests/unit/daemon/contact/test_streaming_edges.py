@@ -83,9 +83,9 @@ async def looked(robot: Scripted, target: int | None = 10) -> int:
         ([("held", 5)] * 2 + [("running", 5)] + [("held", 5)] * 2, 10, 0),
         ([("running", 5), ("held", 5), ("running", 6)] * 5, 10, 0),
         ([("running", 5)] * 2 + [("held", 5)] * 9, 10, 2 + STANDS),
-        ([("held", 10)] * 9, 10, 0),  # where it was told to stand
+        ([("held", 10)] * 9, 10, 0),  # where it has to stand
         ([("running", 5)] * 9, 10, 0),
-        ([("held", 5)] * 9, None, 0),  # it was not told to run
+        ([("held", 5)] * 9, None, 0),  # it does not have to run
     ],
 )
 async def test_a_robot_stands_that_does_so_three_looks_in_a_row(
@@ -106,8 +106,8 @@ async def test_too_little_motion_is_seen_by_who_looks_and_by_who_follows() -> No
     assert not supplied.done(), "just enough is enough"
     robot.buffer_s = LEAST_S - 0.01
     await anext(blocks)
-    await anext(blocks)  # once is told, and who follows goes on
-    with pytest.raises(SafetyStop, match=r"only 0\.24 s of motion are left in the robot at block 0, and lifting may"):
+    await anext(blocks)  # published once, and the recording goes on
+    with pytest.raises(SafetyStop, match=r"only 0\.24 s of motion are left in the robot at block 0, and a lift may"):
         await supplied
     with pytest.raises(Over):
         await stream.watch()
@@ -202,7 +202,7 @@ async def test_a_robot_with_just_enough_motion_to_lift_in_may_go() -> None:
     assert fake.robot.done == 3
     fake = FakeCell()
     fake.robot.takes, fake.robot.block_s = CHUNK, 0.01 / CHUNK
-    with pytest.raises(DeviceRefused, match=r"holds 0\.01 s of motion"):
+    with pytest.raises(DeviceRefused, match=r"buffers 0\.01 s of motion"):
         await refused(fake)
     assert fake.robot.done == 0
 

@@ -26,13 +26,13 @@ CONTACT = (5, 35)
 
 
 class Robot:
-    """In the place of a stream: tells of blocks when the test says so."""
+    """Replaces a stream: reports blocks on command of the test."""
 
     def __init__(self) -> None:
         self.words: asyncio.Queue[ExecutedBlock | BaseException | None] = asyncio.Queue()
         self.left = False
 
-    def tells(self, *seqs: int) -> None:
+    def reports(self, *seqs: int) -> None:
         for seq in seqs:
             self.words.put_nowait(ExecutedBlock(seq, float(seq), seq + 1.0))
 
@@ -90,15 +90,15 @@ def contact(tmp_path: Path) -> Iterator[Pass]:
         yield Pass(journal)
 
 
-async def until(told: Pass, seq: int) -> None:
+async def until(begun: Pass, seq: int) -> None:
     """The recorder has heard of that block; pytest's timeout is the limit."""
-    while told.touch.last_seq < seq:  # noqa: ASYNC110
+    while begun.touch.last_seq < seq:  # noqa: ASYNC110
         await asyncio.sleep(0)
 
 
 async def test_the_end_waits_until_the_last_block_is_judged(contact: Pass) -> None:
     task = asyncio.ensure_future(contact.whole())
-    contact.robot.tells(5, 6)
+    contact.robot.reports(5, 6)
     contact.robot.stands()
     while not contact.robot.left:  # noqa: ASYNC110
         await asyncio.sleep(0)
@@ -111,21 +111,21 @@ async def test_the_end_waits_until_the_last_block_is_judged(contact: Pass) -> No
 
 
 async def test_a_robot_that_is_lost_in_contact_ends_it_and_what_it_told_stays(contact: Pass) -> None:
-    contact.robot.tells(5, 6, 7)
+    contact.robot.reports(5, 6, 7)
     contact.robot.fails(LinkError("robot: gone"))
     contact.fake.robot.acts.fails["progress"] = LinkError("robot: gone")
     with pytest.raises(LinkError, match="robot: gone"):
         await contact.whole()
     assert contact.robot.left
     assert contact.done() == [5, 6, 7]
-    assert contact.journal.uncertain(0) == ((5, CONTACT[1]),), "nobody said that the tool is off"
+    assert contact.journal.uncertain(0) == ((5, CONTACT[1]),), "the lift is not confirmed"
 
 
 async def cut_short(contact: Pass, *then: object) -> None:
     """After the first block contact is left; the robot's words that come then."""
     async with contact.recording() as recorder:
         following = asyncio.ensure_future(contact.follow(recorder))
-        contact.robot.tells(5)
+        contact.robot.reports(5)
         await until(contact, 5)
         contact.touch.leave()
         following.cancel()
@@ -139,11 +139,11 @@ async def cut_short(contact: Pass, *then: object) -> None:
 async def test_a_robot_that_is_lost_while_contact_is_left_does_not_take_the_place_of_what_ended_it(
     contact: Pass, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streaming, "ASK_S", 1e6)  # and nobody waits for what it does not tell any more
+    monkeypatch.setattr(streaming, "ASK_S", 1e6)  # the daemon must not wait for further reports
     contact.fake.robot.done = contact.fake.robot.until = 9
     with pytest.raises(SafetyStop, match="force"):
         await cut_short(contact, LinkError("robot: gone"))
-    assert "while contact was left, the robot tells no more: robot: gone" in caplog.text
+    assert "the robot stopped reporting while contact was left: robot: gone" in caplog.text
     assert contact.done() == [5]
 
 
@@ -160,7 +160,7 @@ async def test_a_robot_that_says_nothing_any_more_is_not_waited_for(
 ) -> None:
     monkeypatch.setattr(streaming, "ASK_S", 0.02)
     contact.fake.robot.acts.hangs.add("progress")
-    contact.robot.tells(5)
+    contact.robot.reports(5)
     contact.robot.fails(SafetyStop("the robot stands"))
     with pytest.raises(SafetyStop, match="the robot stands"):
         await contact.whole()
@@ -174,11 +174,11 @@ async def test_a_lost_journal_is_logged_while_contact_is_left_and_does_not_take_
         raise SafetyStop("journal lost")
 
     monkeypatch.setattr(contact.journal, "mark_uncertain", lost)
-    contact.robot.tells(5)
+    contact.robot.reports(5)
     contact.robot.fails(LinkError("robot: gone"))
     with pytest.raises(LinkError, match="robot: gone"):
         await contact.whole()
-    assert "is not recorded (journal lost): the next start asks the robot" in caplog.text
+    assert "are not recorded (journal lost): the next start reads them" in caplog.text
     monkeypatch.undo()
     assert contact.journal.passes[0].uncertain is None
     await settle_interrupted_pass(contact.fake.cell, contact.journal)
@@ -189,8 +189,8 @@ async def test_a_disk_that_does_not_keep_up_ends_contact(contact: Pass, monkeypa
     """Although the robot goes on as if nothing were wrong."""
     monkeypatch.setattr(streaming, "LOOK_S", 0.005)
     monkeypatch.setattr(store, "LATE_S", -1.0)
-    contact.robot.tells(5)
-    with pytest.raises(SafetyStop, match="a commit has taken"):
+    contact.robot.reports(5)
+    with pytest.raises(SafetyStop, match="a commit takes"):
         await contact.whole()
     assert contact.robot.left
 
@@ -209,13 +209,13 @@ async def test_others_have_their_turns_while_many_blocks_are_told(
             seen.append(contact.touch.last_seq)
             await asyncio.sleep(0)
 
-    contact.robot.tells(*range(4 * TURN_BLOCKS))
+    contact.robot.reports(*range(4 * TURN_BLOCKS))
     contact.robot.fails(SafetyStop("enough"))
     other = asyncio.ensure_future(watches())
     with pytest.raises(SafetyStop):
         await contact.whole()
     await other
-    assert set(waits) <= {streaming.LOOK_S}, "but nobody sleeps over it"
+    assert set(waits) <= {streaming.LOOK_S}, "no other wait"
     assert {TURN_BLOCKS - 1, 2 * TURN_BLOCKS - 1, 3 * TURN_BLOCKS - 1} <= set(seen)
 
 
@@ -223,7 +223,7 @@ async def test_an_order_while_the_last_words_are_waited_for_is_told_afterwards(c
     """It cuts nothing short: what the tool may have touched is marked first."""
     contact.fake.robot.done = contact.fake.robot.until = 7
     task = asyncio.ensure_future(contact.whole())
-    contact.robot.tells(5)
+    contact.robot.reports(5)
     await until(contact, 5)
     task.cancel()
     for _ in range(5):
@@ -231,8 +231,8 @@ async def test_an_order_while_the_last_words_are_waited_for_is_told_afterwards(c
     task.cancel()
     for _ in range(5):
         await asyncio.sleep(0)
-    assert not task.done(), "the robot has executed one more than it has told of"
-    contact.robot.tells(6)
+    assert not task.done(), "the robot has executed one more than it has reported"
+    contact.robot.reports(6)
     with pytest.raises(asyncio.CancelledError):
         await task
     assert contact.done() == [5, 6]
@@ -276,7 +276,7 @@ async def test_a_robot_that_has_executed_nothing_is_not_waited_for(
 
 async def test_who_follows_hears_of_a_lost_robot_himself(contact: Pass) -> None:
     """Also one whom the end of the recording does not reach: no block waits, and all would seem done."""
-    told: list[BaseException | None] = []
+    results: list[BaseException | None] = []
 
     async def apart() -> None:
         async with contact.recording() as recorder:
@@ -286,11 +286,11 @@ async def test_who_follows_hears_of_a_lost_robot_himself(contact: Pass) -> None:
                 await asyncio.Event().wait()
             finally:
                 contact.touch.leave()
-                told.extend(await asyncio.gather(following, return_exceptions=True))
+                results.extend(await asyncio.gather(following, return_exceptions=True))
 
     with pytest.raises(LinkError, match="robot: gone"):
         await apart()
-    assert [type(error) for error in told] == [LinkError]
+    assert [type(error) for error in results] == [LinkError]
 
 
 async def test_an_order_while_the_last_words_are_waited_for_does_not_take_the_place_of_an_error(contact: Pass) -> None:
@@ -304,8 +304,8 @@ async def test_an_order_while_the_last_words_are_waited_for_does_not_take_the_pl
     assert not task.done()
     task.cancel()
     await asyncio.sleep(0)
-    contact.robot.tells(6)
+    contact.robot.reports(6)
     with pytest.raises(SafetyStop, match="force"):
         await task
     assert contact.done() == [5, 6]
-    assert contact.journal.passes[0].uncertain == (7, 8), "it was marked once all was told"
+    assert contact.journal.passes[0].uncertain == (7, 8), "it was marked once all blocks were reported"

@@ -1,4 +1,4 @@
-"""A robot that was told to run and says that it does anything else: each word for standing ends the pass."""
+"""A robot that has to run and reports another state: each state that means standstill ends the pass."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def fake() -> FakeCell:
 async def whole_pass(
     fake: FakeCell, plan: Plan, stream_ahead_s: float = 1.0, each: Callable[[int], object] = int
 ) -> list[int]:
-    """All of a pass; ``each`` is told of every block in contact."""
+    """Run a whole pass; ``each`` gets every block in contact."""
     seqs = []
     async with streaming(plan, fake.robot, fake.clock, stream_ahead_s, least_s=stream_ahead_s / 4) as stream:
         await stream.approach()
@@ -43,7 +43,7 @@ async def whole_pass(
 
 
 async def time_passes(fake: FakeCell, seconds: float, until: asyncio.Future[Any]) -> None:
-    """The fake clock goes on in small steps, and everybody gets a turn, until that is done or the time is over."""
+    """Advance the fake clock in small steps, in which all tasks run, until that is done or the time is over."""
     end_s = fake.clock.at_s + seconds
     while fake.clock.at_s < end_s and not until.done():
         fake.clock.advance(WATCH_S / 2)
@@ -114,7 +114,7 @@ async def test_a_robot_that_holds_less_than_the_look_ahead_starts_when_it_is_ful
 async def test_a_robot_that_holds_too_little_to_lift_in_is_refused_before_it_moves(fake: FakeCell) -> None:
     fake.robot.block_s = 0.00005
     fake.robot.takes = CHUNK
-    with pytest.raises(DeviceRefused, match=r"holds 0\.01 s of motion .* nothing was moved"):
+    with pytest.raises(DeviceRefused, match=r"buffers 0\.01 s of motion; .* nothing was moved"):
         await whole_pass(fake, small_plan(1000), 0.04)
     assert fake.robot.done == 0
 

@@ -1,4 +1,4 @@
-"""What another cell has learned: a job begins with it where this cell has no lesson of its own, and less sure."""
+"""Rate of another cell: a job starts with it, less certain, where this cell has no estimates of the series."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def offer(state_dir: Path, event: ShopRateReceived = OFFER) -> None:
 async def test_a_cell_without_a_lesson_begins_with_what_another_one_has_learned_and_says_whose(tmp_path: Path) -> None:
     offer(tmp_path)
     job = await begun(tmp_path)
-    rate = job.tools.believed.removal.rate
+    rate = job.tools.estimates.removal.rate
     assert rate.value == 0.9
     assert rate.sigma == pytest.approx((0.01**2 + (REMEMBERS.max_rate_change / 6) ** 2) ** 0.5, rel=1e-3)
-    (note,) = [one for one in notes(job) if "has taught" in one]
-    assert note.startswith("begins with what pass 2 of job 'lens' of the cell 'north' (20")
+    (note,) = [one for one in notes(job) if "estimates after" in one]
+    assert note.startswith("starts with the estimates after pass 2 of job 'lens' of the cell 'north' (20")
     assert "another machine, offered by the shop" in note
 
 
@@ -39,13 +39,13 @@ async def test_its_own_lesson_counts_more_than_any_offer(tmp_path: Path) -> None
     rate = await taught(tmp_path)
     offer(tmp_path)
     job = await begun(tmp_path)
-    assert job.tools.believed.rate == rate
+    assert job.tools.estimates.rate == rate
 
 
 async def test_the_last_offer_counts(tmp_path: Path) -> None:
     offer(tmp_path)
     offer(tmp_path, replace(OFFER, rate=0.95))
-    assert (await begun(tmp_path)).tools.believed.rate == 0.95
+    assert (await begun(tmp_path)).tools.estimates.rate == 0.95
 
 
 @pytest.mark.parametrize(
@@ -54,15 +54,15 @@ async def test_the_last_offer_counts(tmp_path: Path) -> None:
 )
 async def test_it_is_of_that_process_and_tool_alone(tmp_path: Path, terms: dict[str, Any]) -> None:
     offer(tmp_path)
-    assert (await begun(tmp_path, terms={**TERMS, **terms})).tools.believed.rate == 1.0
+    assert (await begun(tmp_path, terms={**TERMS, **terms})).tools.estimates.rate == 1.0
 
 
 async def test_what_is_forgotten_is_not_begun_with_and_what_is_too_far_off_neither(tmp_path: Path) -> None:
     offer(tmp_path)
     forget_estimates(tmp_path, "a new pad")
-    assert (await begun(tmp_path)).tools.believed.rate == 1.0
+    assert (await begun(tmp_path)).tools.estimates.rate == 1.0
     offer(tmp_path, replace(OFFER, rate=1 + 1.01 * REMEMBERS.max_rate_change))
-    assert (await begun(tmp_path, "third")).tools.believed.rate == 1.0
+    assert (await begun(tmp_path, "third")).tools.estimates.rate == 1.0
 
 
 def test_a_recipe_is_the_same_wherever_its_files_lie_and_whatever_the_machine() -> None:

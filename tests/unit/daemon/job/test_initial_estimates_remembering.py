@@ -1,4 +1,4 @@
-"""What a job begins with of what the jobs before it have taught."""
+"""Initial estimates of a job from earlier jobs."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def journal_of(state_dir: Path, job: str, terms: Mapping[str, Any] = TERMS) -> J
 
 
 async def taught(state_dir: Path, name: str = "first", rate: float = RATE, terms: Mapping[str, Any] = TERMS) -> float:
-    """A job whose second map has shown that rate; what it believed then."""
+    """Run a job whose second map shows that rate; return its estimate."""
     with journal_of(state_dir, name, terms) as journal:
         job = small_job(state_dir / name, journal, recipe=REMEMBERS)
         await job.load()
         surface = await whole_cycle(job, 0, small_map(), rate=rate)
         await job.learn(1, await job.measured(1, surface))
-        assert job.tools.believed.rate == pytest.approx(rate, rel=0.05)
-        return job.tools.believed.rate
+        assert job.tools.estimates.rate == pytest.approx(rate, rel=0.05)
+        return job.tools.estimates.rate
 
 
 async def begun(
@@ -62,15 +62,15 @@ async def begun(
 
 
 def notes(job: Job) -> list[str]:
-    return list(job.told[-1].data["notes"])  # type: ignore[attr-defined]
+    return list(job.published[-1].data["notes"])  # type: ignore[attr-defined]
 
 
 async def test_a_job_begins_with_the_rate_of_the_last_one_and_says_so(tmp_path: Path) -> None:
     rate = await taught(tmp_path)
     job = await begun(tmp_path)
-    assert job.tools.believed.rate == rate
-    (note,) = [one for one in notes(job) if "has taught" in one]
-    assert note.startswith("begins with what pass 1 of job 'first' (20")
+    assert job.tools.estimates.rate == rate
+    (note,) = [one for one in notes(job) if "estimates after" in one]
+    assert note.startswith("starts with the estimates after pass 1 of job 'first' (20")
     assert re.search(rf"rate {rate:.2f}\d* \+- ", note)
     with closing(Store.open(tmp_path / JOURNAL_NAME)) as store:
         (stats,) = store.read("SELECT stats FROM map WHERE job = 2")[0]
@@ -90,8 +90,8 @@ async def test_its_plan_counts_with_it_and_its_pass_keeps_it(
         assert journal.passes[0].facts["rate"] == rate
         measured = await job.measured(1, surface)
         alone = await first_pass_nm(without)
-        assert measured.stats.rms_nm < alone / 2, "what the rate costs that nobody knows"
-        assert not [one for one in notes(job) if "has taught" in one], "said once"
+        assert measured.stats.rms_nm < alone / 2, "the error without the estimate"
+        assert not [one for one in notes(job) if "estimates after" in one], "the note is given once"
 
 
 async def first_pass_nm(state_dir: Path) -> float:
@@ -105,7 +105,7 @@ async def first_pass_nm(state_dir: Path) -> float:
 async def test_the_last_lesson_counts(tmp_path: Path) -> None:
     await taught(tmp_path)
     last = await taught(tmp_path, "next", 0.95)
-    assert (await begun(tmp_path, "third")).tools.believed.rate == last
+    assert (await begun(tmp_path, "third")).tools.estimates.rate == last
 
 
 @pytest.mark.one_of_each
@@ -127,7 +127,7 @@ async def test_only_a_job_of_the_same_series_remembers(
 ) -> None:
     await taught(tmp_path)
     job = await begun(tmp_path, terms={**TERMS, key: value})
-    assert (job.tools.believed.rate != 1.0) is remembers
+    assert (job.tools.estimates.rate != 1.0) is remembers
 
 
 def test_what_is_learned_over_the_part_belongs_to_its_form() -> None:
@@ -142,9 +142,9 @@ async def test_the_time_of_a_block_goes_with_the_machine(tmp_path: Path) -> None
     with journal_of(tmp_path, "first") as journal:
         await whole_cycle(small_job(tmp_path / "first", journal), 0, small_map())
         journal.add_facts(0, initial_estimates.facts(TERMS, EstimatesInUse(Estimates(Estimate(0.9)), 0.007)))
-    assert (await begun(tmp_path)).tools.believed == EstimatesInUse(Estimates(Estimate(0.9)), 0.007)
+    assert (await begun(tmp_path)).tools.estimates == EstimatesInUse(Estimates(Estimate(0.9)), 0.007)
     other = await begun(tmp_path, "third", {**TERMS, "machine.accel_mm_s2": 900.0})
-    assert other.tools.believed == EstimatesInUse(Estimates(Estimate(0.9)), REMEMBERS.envelope.block_overhead_s)
+    assert other.tools.estimates == EstimatesInUse(Estimates(Estimate(0.9)), REMEMBERS.envelope.block_overhead_s)
 
 
 @pytest.mark.one_of_each
@@ -169,9 +169,9 @@ async def test_nothing_is_remembered(tmp_path: Path, why: str, caplog: pytest.Lo
 
             recipe = replace(REMEMBERS, model=replace(REMEMBERS.model, later=later))
     job = await begun(tmp_path, recipe=recipe)
-    assert job.tools.believed.rate == 1.0
-    assert not [one for one in notes(job) if "has taught" in one]
-    assert ("is of no use: other parameters" in caplog.text) is (why == "of no use")
+    assert job.tools.estimates.rate == 1.0
+    assert not [one for one in notes(job) if "estimates after" in one]
+    assert ("are not used: other parameters" in caplog.text) is (why == "of no use")
 
 
 @pytest.mark.full
@@ -179,7 +179,7 @@ async def test_what_is_learned_after_forgetting_is_remembered(tmp_path: Path) ->
     await taught(tmp_path)
     initial_estimates.forget_estimates(tmp_path, "")
     last = await taught(tmp_path, "next", 0.95)
-    assert (await begun(tmp_path, "third")).tools.believed.rate == last
+    assert (await begun(tmp_path, "third")).tools.estimates.rate == last
 
 
 def test_forgetting_in_a_cell_that_has_done_nothing(tmp_path: Path) -> None:
@@ -194,7 +194,7 @@ async def test_a_job_under_way_goes_on_with_its_own(tmp_path: Path) -> None:
         assert journal.resumed
         job = small_job(tmp_path / "first", journal, recipe=REMEMBERS)
         await job.load()
-        assert job.tools.believed.rate == 1.0, "of its last plan, as before; the map that follows teaches it again"
+        assert job.tools.estimates.rate == 1.0, "of its last plan, as before; the map that follows teaches it again"
         assert own != 1.0
 
 
@@ -202,7 +202,7 @@ async def test_one_that_was_interrupted_before_its_first_pass_remembers_again(tm
     rate = await taught(tmp_path)
     await begun(tmp_path)
     job = await begun(tmp_path)
-    assert job.tools.believed.rate == rate
+    assert job.tools.estimates.rate == rate
 
 
 async def test_it_is_less_certain_after_a_rest(tmp_path: Path) -> None:
@@ -212,6 +212,6 @@ async def test_it_is_less_certain_after_a_rest(tmp_path: Path) -> None:
         (lesson,) = initial_estimates.journalled_estimates(store.read)
     sigma = lesson.believed["removal"]["rate"]["sigma"]
     job = await begun(tmp_path)
-    after = job.tools.believed.removal.rate.sigma
+    after = job.tools.estimates.removal.rate.sigma
     assert after is not None
     assert after**2 - sigma**2 == pytest.approx((RATE * 0.03) ** 2 * 4, rel=0.15)

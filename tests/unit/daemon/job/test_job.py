@@ -1,4 +1,4 @@
-"""A job: what it keeps, what it makes of what was executed, and what it knows again after a restart."""
+"""A job: its records, its use of executed times, and its state after a restart."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ async def whole_cycle(
     force_n: float | None = 12.0,
     sensed_n: float | None = None,
 ) -> SurfaceMap:
-    """Measure, learn, plan and run; the surface afterwards, on the map's own grid."""
+    """Measure, estimate, plan and run; return the surface afterwards on the map's grid."""
     measured = await job.measured(cycle, surface)
     await job.learn(cycle, measured)
     plan = await planned(job, cycle, measured)
@@ -115,7 +115,7 @@ async def test_a_measurement_is_journalled_kept_and_told(job: Job, journal: Jour
     assert (folder / "map.dat").read_bytes() == b"raw"
     with np.load(folder / "surface.npz") as kept:
         assert np.array_equal(np.isfinite(kept["height_nm"]), measured.solve_mask)
-    (event,) = job.told  # type: ignore[attr-defined]
+    (event,) = job.published  # type: ignore[attr-defined]
     assert (event.name, event.cycle, event.data["rms_nm"]) == ("map_measured", 0, measured.stats.rms_nm)
 
 
@@ -157,11 +157,11 @@ async def test_a_pass_that_ended_is_kept_for_people(job: Job, journal: Journal, 
     assert rows[0] == "seq,start_s,end_s,contact,force_n,rpm,sensor_force_n"
     assert rows[1].endswith(",1,12,1000,nan")
     assert len(rows) - 1 == plan.program.n
-    names = [event.name for event in job.told]  # type: ignore[attr-defined]
+    names = [event.name for event in job.published]  # type: ignore[attr-defined]
     progress = plan.program.n // PROGRESS_BLOCKS
     assert progress > 2
     assert names == ["map_measured", "dwell_solved", "pass_started", *["pass_progressed"] * progress, "pass_ended"]
-    assert job.told[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
+    assert job.published[-1].data["executed_s"] == pytest.approx(plan.total_s)  # type: ignore[attr-defined]
 
 
 # what was executed
@@ -281,7 +281,7 @@ async def test_one_entry_a_measurement(job: Job) -> None:
 
 async def test_the_first_cycle_learns_nothing(job: Job) -> None:
     await job.learn(0, await job.measured(0, small_map()))
-    assert [event.name for event in job.told] == ["map_measured"]  # type: ignore[attr-defined]
+    assert [event.name for event in job.published] == ["map_measured"]  # type: ignore[attr-defined]
 
 
 @pytest.mark.full
@@ -299,10 +299,10 @@ async def test_the_rate_is_learned_and_used(job: Job, journal: Journal, tmp_path
 async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     job: Job, force_n: float | None, sensed_n: float | None, rate: float
 ) -> None:
-    """The tool pressed with 80 % all along, and removed as much less: nothing is learned, if that is known."""
+    """The tool pressed with 80 % and removed as much less: the known force leaves the rate unchanged."""
     surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
-    told = job.told[-1]  # type: ignore[attr-defined]
+    told = job.published[-1]  # type: ignore[attr-defined]
     assert told.name == "estimates_updated"
     assert told.data["rate"] == pytest.approx(rate, rel=0.02)
 
@@ -327,7 +327,7 @@ async def test_nothing_is_learned_from_a_pass_that_was_torn_off(job: Job, journa
     await run(job, 0, plan, end=False, blocks=50)
     journal.end_pass(0, "interrupted")
     await job.learn(1, await measure(job, 1, 30.0))
-    assert "learned" not in [event.name for event in job.told]  # type: ignore[attr-defined]
+    assert "learned" not in [event.name for event in job.published]  # type: ignore[attr-defined]
 
 
 async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itself(job: Job) -> None:
@@ -335,7 +335,7 @@ async def test_a_cycle_that_is_measured_again_learns_from_the_pass_not_from_itse
     surface = await whole_cycle(job, 0, small_map(), rate=0.8)
     for _ in range(2):
         await job.learn(1, await job.measured(1, surface))
-    last = job.told[-1]  # type: ignore[attr-defined]
+    last = job.published[-1]  # type: ignore[attr-defined]
     assert last.name == "estimates_updated"
     assert last.data["rate"] == pytest.approx(0.8, rel=0.05)
 
@@ -353,7 +353,7 @@ async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
         assert other.cycles() == job.cycles()
         assert np.array_equal(other.executed_s(1), job.executed_s(1))
         await other.learn(2, await other.measured(2, again))
-        told = other.told[-1]  # type: ignore[attr-defined]
+        told = other.published[-1]  # type: ignore[attr-defined]
         assert told.name == "estimates_updated"
         assert told.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
 
@@ -365,7 +365,7 @@ async def test_restored_amid_a_cycle_that_had_been_measured(job: Job, tmp_path: 
         other = small_job(tmp_path, journal)
         await other.load()
         await other.learn(1, await other.measured(1, surface))
-        assert other.told[-1].data["rate"] == pytest.approx(0.8, rel=0.05)  # type: ignore[attr-defined]
+        assert other.published[-1].data["rate"] == pytest.approx(0.8, rel=0.05)  # type: ignore[attr-defined]
 
 
 async def test_restored_before_any_pass_keeps_the_masks(job: Job, tmp_path: Path) -> None:
@@ -395,7 +395,7 @@ async def test_no_pass_with_software_that_changed(
     plan = await planned(job, 0, await job.measured(0, small_map()))
     now = {**installed_at_start(), "polishd": "9.9"}
     monkeypatch.setattr("polishd.daemon.job.job.installed_now", lambda: now)
-    with pytest.raises(HostFault, match=r"polishd \(.* now 9\.9\).*restart the daemon"):
+    with pytest.raises(HostFault, match=r"polishd \(.* now 9\.9\).*Restart the daemon"):
         await job.refuse_unsafe(plan)
 
 

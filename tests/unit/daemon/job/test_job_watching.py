@@ -1,4 +1,4 @@
-"""What passes showed is kept with their rows: over cycles, jobs, restarts and another process."""
+"""Indicators of passes in their rows: over cycles, jobs, restarts and a change of the process."""
 
 from __future__ import annotations
 

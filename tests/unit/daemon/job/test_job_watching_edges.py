@@ -1,4 +1,4 @@
-"""What passes showed: of which pass, of which process, and how far back."""
+"""Indicators of passes: of which pass, of which process, and how far back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.unit.daemon.job.test_job_watching import TERMS, passed, shown
 
 
 def facts(folder: Path, job: str, *rates: float, how: str = "done", **terms: Any) -> list[dict[str, Any]]:
-    """Of the passes of that job, which ends."""
+    """Record the passes of that job, and end it."""
     with Journal.open(folder, job=job, part_id="P", terms={**TERMS, **terms}) as journal:
         for cycle, rate in enumerate(rates):
             journal.record_map(cycle, f"{job}{cycle}", "x", {})
@@ -85,7 +85,7 @@ def test_a_job_of_which_nobody_wrote_down_the_process_is_followed_too(tmp_path: 
 def test_what_a_person_was_told_of_stays_told_beside_what_is_new(tmp_path: Path) -> None:
     assert passed(tmp_path, "a", 1.0, 1.0, 1.0, 0.6, ends=False) == ["drift"]
     with Journal.open(tmp_path, job="a", part_id="P", terms=TERMS) as journal:
-        journal.add_facts(3, {"findings": [{"kind": "wear", "stops": "", "text": "told"}]})
+        journal.add_facts(3, {"findings": [{"kind": "wear", "stops": "", "text": "reported"}]})
         again = watch(journal, 3, shown(0.6), FindingLimits())
         assert [one.kind for one in again] == ["drift"]
         assert [one["kind"] for one in journal.passes[-1].facts["findings"]] == ["wear", "drift"]

@@ -35,7 +35,7 @@ REFUSED = MapRefusal("a.dat", "WrongPart", "it shows part 'X', the part is 'Y'",
 
 
 def refusals(running: Running) -> list[MapRefused]:
-    return [event for event in running.daemon.job.told if isinstance(event, MapRefused)]  # type: ignore[union-attr]
+    return [event for event in running.daemon.job.published if isinstance(event, MapRefused)]  # type: ignore[union-attr]
 
 
 async def refused(running: Running, count: int = 1) -> None:

@@ -1,4 +1,4 @@
-"""A person's word before motion, who gave it, and what those see who watch."""
+"""Approval before motion: who gave it, and what clients see."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 
 
 async def waits(running: Running) -> PlanAwaitingApproval:
-    """What the plan that waits says of itself."""
+    """Event of the waiting plan."""
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)
-    (told,) = (one for one in running.daemon.job.told if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
+    (told,) = (one for one in running.daemon.job.published if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
     return told
 
 
 async def test_nothing_moves_before_the_plan_that_waits_is_approved(bench: Bench) -> None:
     async with Running(bench, recipe=small_recipe(tolerance_nm=1.5, approve=True)) as running:
-        told = await waits(running)
-        assert told.predicted_rms_nm > 0
-        assert told.concern().severity == "warning"
+        waiting = await waits(running)
+        assert waiting.predicted_rms_nm > 0
+        assert waiting.concern().severity == "warning"
         handlers = running.daemon.handlers
-        assert (await handlers["live"]())["approval"] == told.program_sha256
+        assert (await handlers["live"]())["approval"] == waiting.program_sha256
         with pytest.raises(DeviceRefused, match="another plan waits"):
             await handlers["approve"](program_sha256="ff" * 32)
         assert "robot.resume" not in " ".join(bench.fake.events)
-        await handlers["approve"](program_sha256=told.program_sha256, by=MINE)
+        await handlers["approve"](program_sha256=waiting.program_sha256, by=MINE)
         await running.in_contact()
-        assert [one.by for one in running.told if isinstance(one, PlanApproved)] == [MINE]
+        assert [one.by for one in running.published if isinstance(one, PlanApproved)] == [MINE]
         assert bench.fake.cell.approval.wanted == ""
 
 
@@ -64,7 +64,7 @@ async def test_a_hold_ends_the_wait_for_approval(bench: Bench) -> None:
         assert running.daemon.state == "held"
         with pytest.raises(DeviceRefused, match="no plan waits"):
             await running.daemon.handlers["approve"](program_sha256="ff" * 32)
-        (ordered,) = (one for one in running.told if isinstance(one, CommandReceived))
+        (ordered,) = (one for one in running.published if isinstance(one, CommandReceived))
         assert (ordered.order, ordered.reason, ordered.by) == ("hold", "later", MINE)
 
 
@@ -73,20 +73,20 @@ async def test_what_leads_to_motion_is_refused_until_the_cell_is_clear(bench: Be
     async with Running(bench) as running:
         await running.in_contact()
         await running.daemon.handlers["hold"]()
-        with pytest.raises(DeviceRefused, match="clear is off, must be on when motion is ordered"):
+        with pytest.raises(DeviceRefused, match=r"clear is off, must be on"):
             await running.daemon.handlers["resume"]()
         assert running.daemon.state == "held"
         with pytest.raises(DeviceRefused, match="approve is refused: clear is off"):
             await running.daemon.handlers["approve"](program_sha256="ff" * 32)
         monitor.values["clear"] = True
-        while bench.fake.cell.signals.wrong_on_order():  # noqa: ASYNC110
+        while bench.fake.cell.signals.wrong_on_start():  # noqa: ASYNC110
             await asyncio.sleep(0)
         await running.daemon.handlers["resume"]()
         assert running.daemon.state == "polishing"
 
 
 async def test_a_signal_that_nobody_tells_is_not_clear(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(part_handling, "TOLD_S", 0.0)
+    monkeypatch.setattr(part_handling, "FIRST_VALUE_S", 0.0)
     bench.fake.with_monitor(CLEAR, clear=True)
     with pytest.raises(SignalFault, match="clear is not known"):
         await require_clear(bench.fake.cell)
@@ -112,7 +112,7 @@ async def test_who_watches_sees_readings_with_their_ages(bench: Bench) -> None:
 async def test_alarms_are_acknowledged_by_name(bench: Bench) -> None:
     async with Running(bench) as running:
         await running.daemon.handlers["acknowledge"](alarms=[3, 4], by=MINE)
-        (seen,) = (one for one in running.told if isinstance(one, AlarmAcknowledged))
+        (seen,) = (one for one in running.published if isinstance(one, AlarmAcknowledged))
         assert (list(seen.alarms), seen.by) == ([3, 4], MINE)
         for wrong in ([0], ["1"], [True], [1] * 1001):
             with pytest.raises(ConfigError, match="numbers of events"):
@@ -123,5 +123,5 @@ def test_a_signal_may_be_asked_for_orders_alone() -> None:
     section = SignalSection(on_start=BoundsSection(state=True))
     assert section.limits("clear").on_start == SignalRange(state=True)
     assert str(section.limits("clear")).endswith("when motion is ordered on")
-    with pytest.raises(ValueError, match="nothing is asked of it"):
+    with pytest.raises(ValueError, match="has no requirement"):
         SignalSection()

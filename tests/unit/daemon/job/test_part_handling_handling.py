@@ -1,4 +1,4 @@
-"""Beside polishing, on a cell in memory: the seat is proved before contact, the part made ready between passes."""
+"""Part handling on a cell in memory: touch-off before contact, and steps between passes."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ async def test_the_seat_is_proved_at_three_places_before_contact_with_the_spindl
     assert calls[: 3 * len(touch)] == 3 * touch
     assert calls[3 * len(touch) :][:3] == ["robot.prepare", "spindle.set_speed 1000", CONTACT]
     assert ended(bench, "touch_off", "run") == ["0 touch_off done", "0 run done"]
-    (told,) = [event for event in job.told if event.name == "part_touched_off"]
+    (told,) = [event for event in job.published if event.name == "part_touched_off"]
     assert told.seat.worst_mm == pytest.approx(0.0, abs=1e-9)
     kept = json.loads((bench.tmp_path / "run/cycle-00/touch_off.json").read_text())
     assert kept["seat"]["off_mm"] == pytest.approx([0.0, 0.0, 0.0])
@@ -106,7 +106,7 @@ async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int
     sits(bench, *[5.0 + 0.2 * sign] * 3)
     job = proving(bench)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    (told,) = [event for event in job.told if event.name == "part_touched_off"]
+    (told,) = [event for event in job.published if event.name == "part_touched_off"]
     assert told.seat.height_mm == pytest.approx(-0.2 * sign, abs=0.02)
 
 
@@ -150,7 +150,7 @@ async def test_a_tool_that_meets_nothing_is_driven_no_deeper_than_the_seat_may_b
 async def test_where_the_tool_is_not_known_to_be_up_the_robot_stays(bench: Bench) -> None:
     sits(bench, None)
     bench.fake.actuator.acts.fails["make_safe"] = LinkError("the coil is gone")
-    with pytest.raises(SeatNotLeft, match=r"The robot stands at that place still: .*the coil is gone"):
+    with pytest.raises(SeatNotLeft, match=r"The robot still stands at that point: .*the coil is gone"):
         await bench.polish(proving(bench))
     assert "robot.resume None" not in bench.fake.events
     assert bench.fake.cell.unsafe
@@ -206,10 +206,12 @@ async def test_a_position_counts_once_the_force_sensor_says_that_the_force_acts(
 
 
 async def test_a_force_sensor_watches_the_newton(bench: Bench) -> None:
-    """The actuator feels too little of what acts: by its own word all is well, and more than a newton presses."""
+    """The actuator measures too small a force: its reading is in the band, and more than 1 N acts."""
     sensor = bench.fake.with_force_sensor()
     sensor.reads = lambda reading: replace(reading, force_n=1.75 * reading.force_n)
-    with pytest.raises(SafetyStop, match=r"by the force sensor 1\.40 N is outside 0\.8 N .* the actuator says 0\.80 N"):
+    with pytest.raises(
+        SafetyStop, match=r"by the force sensor 1\.40 N is outside 0\.8 N .* the actuator reads 0\.80 N"
+    ):
         await bench.polish(proving(bench))
     assert bench.fake.events[-4:] == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
     assert CONTACT not in bench.fake.events
@@ -249,7 +251,7 @@ async def test_a_fault_of_the_actuator_at_a_place(bench: Bench) -> None:
 
 async def test_an_actuator_without_a_position_is_named(bench: Bench) -> None:
     bench.fake.actuator.reads = lambda sample: replace(sample, position_mm=None)
-    with pytest.raises(DeviceRefused, match=r"tells no position.*\[touch_off\]"):
+    with pytest.raises(DeviceRefused, match=r"no position.*\[touch_off\]"):
         await bench.polish(proving(bench))
     assert bench.fake.actuator.retracted
     assert CONTACT not in bench.fake.events
@@ -274,7 +276,7 @@ async def test_how_often_it_is_proved(bench: Bench, each_pass: bool, proofs: int
 
 @pytest.mark.full
 async def test_after_a_hold_it_is_proved_again(bench: Bench) -> None:
-    """Somebody may have touched the part."""
+    """A step may have moved the part."""
     job = proving(bench)
     sits(bench, 4.0, 4.0, 4.0)
     with pytest.raises(WrongSeat):
@@ -298,24 +300,24 @@ def between(bench: Bench, what: BetweenPasses, **job: Any) -> Any:
 
 
 def said(path: Path, code: str = "") -> tuple[str, ...]:
-    """A command that writes down in which step of which cycle it runs."""
-    told = "' '.join(os.environ['POLISHD_' + key] for key in ('STEP', 'CYCLE', 'PART', 'JOB'))"
-    return (sys.executable, "-c", f"import os, sys; print({told}, file=open({str(path)!r}, 'a')); {code}")
+    """A command that records its step and cycle."""
+    variables = "' '.join(os.environ['POLISHD_' + key] for key in ('STEP', 'CYCLE', 'PART', 'JOB'))"
+    return (sys.executable, "-c", f"import os, sys; print({variables}, file=open({str(path)!r}, 'a')); {code}")
 
 
 @pytest.mark.full
 async def test_commands_run_between_passes_in_their_order(bench: Bench, tmp_path: Path) -> None:
     step = HandlingStep(command=said(tmp_path / "said"), folder=tmp_path)
     await bench.polish(between(bench, BetweenPasses(clean=step, condition=step)))
-    told = (tmp_path / "said").read_text().splitlines()
-    assert told == ["clean 1 P-1 small", "condition 1 P-1 small", "clean 2 P-1 small"]
+    written = (tmp_path / "said").read_text().splitlines()
+    assert written == ["clean 1 P-1 small", "condition 1 P-1 small", "clean 2 P-1 small"]
     order = [line.split()[1] for line in bench.phases() if line.startswith("1 ")]
     assert order == ["clean", "measure", "learn", "solve", "plan", "condition", "run"]
 
 
 async def test_a_step_of_a_person_is_asked_for_once(bench: Bench) -> None:
     job = between(bench, BetweenPasses(clean=HandlingStep(operator="wipe the part")), max_cycles=1)
-    with pytest.raises(HandlingError, match="clean: wipe the part; that done: polishd resume"):
+    with pytest.raises(HandlingError, match=r"clean: wipe the part\. Then run polishd resume"):
         await bench.polish(job)
     assert bench.journal.unfinished() is None, "nothing is under way while the person is at it"
     assert await bench.polish(job) is Outcome.CYCLES_USED
@@ -327,7 +329,7 @@ async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) 
     code = f"sys.exit(len(open({str(tmp_path / 'said')!r}).readlines()) == 1 and 'no water')"
     step = HandlingStep(command=said(tmp_path / "said", code), folder=tmp_path)
     job = between(bench, BetweenPasses(clean=step), max_cycles=1)
-    with pytest.raises(HandlingError, match=r"clean: .* ended with 1: no water; see to it"):
+    with pytest.raises(HandlingError, match=r"clean: .* exit code 1: no water"):
         await bench.polish(job)
     assert await bench.polish(job) is Outcome.CYCLES_USED
     assert ended(bench, "clean") == ["1 clean failed", "1 clean done"]
@@ -337,7 +339,7 @@ async def test_a_command_that_failed_is_run_again(bench: Bench, tmp_path: Path) 
 
 
 def warming(bench: Bench, *swellings_nm: float) -> Callable[[], SurfaceMap]:
-    """Maps of a part that stands so much higher at its rim, in one map after the other; then nothing."""
+    """Maps of a part with these heights at its rim, one after the other; then no map."""
     measure, left = bench.measure, list(swellings_nm)
     radius = small_map().grid.radius_mm() / RIM_MM
 
@@ -356,7 +358,7 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, max_maps=6, wait_s=60.0)), max_cycles=1)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    told = [(event.cycle, event.maps) for event in job.told if event.name == "map_repeated"]
+    told = [(event.cycle, event.maps) for event in job.published if event.name == "map_repeated"]
     assert told == [(0, 2), (1, 2), (1, 3), (1, 4)]
     rows = bench.journal._store.read("SELECT cycle, sha256 FROM map ORDER BY id")
     assert [cycle for cycle, _ in rows] == [0, 0, 1, 1, 1, 1], "all of them are journalled"
@@ -375,9 +377,7 @@ async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 9.0, 8.0, 7.0, 6.0)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, max_maps=3, wait_s=60.0)))
-    with pytest.raises(
-        PartNotSettled, match=r"does not settle: from map to map it changed by 0\.\d\d, 0\.\d\d nm; 0\.20 nm"
-    ):
+    with pytest.raises(PartNotSettled, match=r"does not settle: it changed by 0\.\d\d, 0\.\d\d nm from map to map"):
         await bench.polish(job)
     assert len(bench.fake.of("metrology.next_map")) == 3
     assert bench.moved() == []
@@ -385,12 +385,12 @@ async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
 
 
 async def no_sleep(seconds: float) -> None:
-    """The cell's clock stands: who waits for it gets a turn."""
+    """The cell's clock stands still: a waiting task runs at once."""
     await asyncio.sleep(0)
 
 
 class WarmPart:
-    """A part that swells in each pass and cools from map to map: what its maps show, and what it is."""
+    """A part that swells in each pass and cools from map to map: its maps and its true surface."""
 
     def __init__(self, bench: Bench, swells_nm: float) -> None:
         self._truth = bench.measure
@@ -418,7 +418,7 @@ class WarmPart:
 async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, settle: SettleRule | None) -> None:
     """Its first map after a pass shows a swelling that is no figure: by that the good part would be polished on.
 
-    Where nobody asks for settling, the power that no removal explains is named, and waited for.
+    Without a settle rule, power that no removal explains is diagnosed, and the daemon measures again.
     """
     part = WarmPart(bench, swells_nm=12.0)
     recipe = small_recipe(tolerance_nm=1.5, between=BetweenPasses(settle=settle))
@@ -428,7 +428,7 @@ async def test_a_warm_part_is_judged_rightly_once_it_has_settled(bench: Bench, s
     assert bench.journal.history[-1].stats["rms_nm"] == pytest.approx(part.true_nm, abs=0.05)
     learned = json.loads((bench.tmp_path / "run/cycle-01/gate.json").read_text())
     named = [one["cause"] for one in learned["named"]]
-    assert named == ([] if settle else ["settling"]), "a part that has settled is nobody's doubt"
+    assert named == ([] if settle else ["settling"]), "a settled part needs no diagnosis"
     assert ended(bench, "learn") == ["0 learn done", *(["1 learn done"] * (1 if settle else 2))]
 
 
@@ -447,7 +447,7 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     with pytest.raises(RemovalCheckStop, match=r"a trefoil changed by .* nm: three points of the mount"):
         await bench.polish(job)
     assert bench.phases()[-1] == "1 settle failed"
-    told = [event for event in job.told if event.name == "map_repeated"]
+    told = [event for event in job.published if event.name == "map_repeated"]
     assert [event.maps for event in told] == [2], "it does not come to rest: no more maps are waited for"
     assert "mount" in told[0].notes[0]
     assert (bench.tmp_path / "run/cycle-01/settling-00").is_dir()
@@ -471,5 +471,5 @@ async def test_a_part_that_goes_on_changing_holds_the_cell_where_the_tolerance_d
         assert bench.phases()[-1] == "1 settle failed"
     else:
         await bench.polish(job)
-    told = [event.maps for event in job.told if event.name == "map_repeated"]
+    told = [event.maps for event in job.published if event.name == "map_repeated"]
     assert told == [2, 3], "it does not come nearer: no more maps are waited for"

@@ -1,4 +1,4 @@
-"""What a job may go on with: one table, which the documentation shows, and refusals that name what differs."""
+"""Terms that may change within a job: one table, shown in the documentation, and errors that name the difference."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_what_may_change(cell: Path, section: str, values: dict[str, Any]) -> No
 @pytest.mark.parametrize(
     ("section", "values", "says"),
     [
-        ("part", {"edge_mm": 7.5}, "part.edge_mm: is 7.5, the job 'demo' was begun with "),
+        ("part", {"edge_mm": 7.5}, "part.edge_mm: is 7.5, the job 'demo' began with "),
         ("part", {"id": "other"}, "part.id: is 'other'"),
         ("part", {"alignment": "power"}, "part.alignment: is 'power'"),
         ("process", {"force_n": 11.0}, "process.force_n: is 11.0"),
@@ -92,7 +92,7 @@ def test_what_may_not_is_refused_with_place_and_both_values(
     first, *_, last = str(refused.value).splitlines()
     assert re.match(rf"{re.escape(str(cell))}:\d+: ", first)
     assert says in first
-    assert last.endswith("restore what differs, or give job.id a new name")
+    assert last.endswith("Restore them, or set a new job.id")
 
 
 def test_all_that_differs_is_told_and_nothing_else(cell: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_job_of_an_earlier_polishd_says_how_it_can_be_finished(cell: Path) -> 
     config = begin(cell)
     with Journal.open(config.state_dir, job=config.job.id, part_id="P") as journal:
         journal._store.write(("UPDATE job SET terms = 'null'", ()))
-    with pytest.raises(ConfigError, match=r"journal\.v1\.sqlite back as journal\.sqlite .* or give job.id a new name"):
+    with pytest.raises(ConfigError, match=r"journal\.v1\.sqlite as journal\.sqlite .* or set a new job.id"):
         go_on(cell)
 
 
@@ -145,7 +145,7 @@ def test_run_refuses_what_differs_before_it_asks_a_device(cell: Path) -> None:
     command = [sys.executable, "-m", "polishd.cli.app", "run", str(cell)]
     said = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert said.returncode == 3, said.stderr
-    assert "part.edge_mm: is 7.5, the job 'demo' was begun with" in said.stderr.replace("\n", " ")
+    assert "part.edge_mm: is 7.5, the job 'demo' began with" in said.stderr.replace("\n", " ")
 
 
 def test_another_outline_in_the_same_file_is_another_part(cell: Path) -> None:

@@ -1,4 +1,4 @@
-"""What differs between the values that a job was begun with and those in force, value by value."""
+"""Differences between the terms of a job and the present values, value by value."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ FILE, OTHER = {"file": "a.csv", "sha256": "aa" * 32}, {"file": "b.csv", "sha256"
 
 
 class Begun:
-    """A journal, of which only the terms are asked."""
+    """A journal with terms only."""
 
     def __init__(self, terms: dict[str, Any] | None) -> None:
         self.terms = terms
 
 
 def refusal(cell: Path, begun: dict[str, Any], now: dict[str, Any]) -> list[str]:  # noqa: F811
-    """What is said of each that differs."""
+    """Message of each difference."""
     journal: Any = Begun(begun)
     try:
         require_same(load_config(cell), now, journal)
     except ConfigError as error:
         *lines, todo = str(error).splitlines()
-        assert todo.startswith("the job is under way and cannot go on like this: ")
+        assert todo.startswith("the job has begun and cannot continue with these values. ")
         return [line.split(": ", 1)[1] for line in lines]
     return []
 
@@ -39,18 +39,18 @@ def refusal(cell: Path, begun: dict[str, Any], now: dict[str, Any]) -> list[str]
     ("was", "now", "said"),
     [
         (1.0, 1.0, ""),
-        (1.0, None, "is nothing, the job 'demo' was begun with 1.0"),
-        (None, "x", "is 'x', the job 'demo' was begun with nothing"),
-        ([1.0, 2.0], [1.0, 3.0], "is [1.0, 3.0], the job 'demo' was begun with [1.0, 2.0]"),
+        (1.0, None, "is nothing, the job 'demo' began with 1.0"),
+        (None, "x", "is 'x', the job 'demo' began with nothing"),
+        ([1.0, 2.0], [1.0, 3.0], "is [1.0, 3.0], the job 'demo' began with [1.0, 2.0]"),
         (FILE, {**FILE, "file": "moved.csv"}, ""),
-        (FILE, OTHER, "is b.csv (sha256 bbbbbbbbbbbb), the job 'demo' was begun with a.csv (sha256 aaaaaaaaaaaa)"),
+        (FILE, OTHER, "is b.csv (sha256 bbbbbbbbbbbb), the job 'demo' began with a.csv (sha256 aaaaaaaaaaaa)"),
         ([FILE, OTHER], [{**FILE, "file": "c"}, OTHER], ""),
         (
             [FILE],
             [OTHER],
-            "is [b.csv (sha256 bbbbbbbbbbbb)], the job 'demo' was begun with [a.csv (sha256 aaaaaaaaaaaa)]",
+            "is [b.csv (sha256 bbbbbbbbbbbb)], the job 'demo' began with [a.csv (sha256 aaaaaaaaaaaa)]",
         ),
-        ([FILE], [FILE, OTHER], "is [a.csv (sha256 aaaaaaaaaaaa), b.csv (sha256 bbbbbbbbbbbb)], the job 'demo' was"),
+        ([FILE], [FILE, OTHER], "is [a.csv (sha256 aaaaaaaaaaaa), b.csv (sha256 bbbbbbbbbbbb)], the job 'demo' began"),
     ],
 )
 def test_what_counts_of_a_value_and_what_is_said_of_it(cell: Path, was: Any, now: Any, said: str) -> None:  # noqa: F811
@@ -71,9 +71,7 @@ def test_each_that_differs_is_told_once_in_their_order_also_where_one_side_has_n
 def test_a_job_of_an_earlier_polishd_is_refused_at_its_name(cell: Path) -> None:  # noqa: F811
     config = load_config(cell)
     journal: Any = Begun(None)
-    with pytest.raises(
-        ConfigError, match=re.escape(f"put {config.state_dir / 'journal.v1.sqlite'} back as journal.sq")
-    ):
+    with pytest.raises(ConfigError, match=re.escape(f"Restore {config.state_dir / 'journal.v1.sqlite'} as journal.sq")):
         require_same(config, {}, journal)
 
 

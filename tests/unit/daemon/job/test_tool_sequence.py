@@ -1,4 +1,4 @@
-"""Several tools over one part, on a cell in memory: each has its turn, is asked for, and is believed its own."""
+"""Several tools for one part on a cell in memory: order, requests for a change, and estimates of each."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ class TwoTools(Bench):
             ToolStepState(narrow(**terms), small_program(), contact),
         )
         job = super().job(**{"max_cycles": 2, "turns": turns, **changes})
-        told = job.publish
-        job.publish = lambda event: (told(event), self.journal.record_event(event))
+        publish = job.publish
+        job.publish = lambda event: (publish(event), self.journal.record_event(event))
         return job
 
     async def polish_by_hand(self, job: Any) -> tuple[Outcome, list[str]]:
-        """To its end; whoever is asked for a tool mounts it. What was asked for."""
+        """Run the job to its end; the operator mounts each tool. Return the requests."""
         asked: list[str] = []
         while len(asked) < 9:
             try:
@@ -96,7 +96,7 @@ def tools(bench: Bench) -> list[str]:
 async def test_each_tool_has_its_turn_with_its_own_force_and_is_asked_for_by_name(bench: TwoTools) -> None:
     outcome, asked = await bench.polish_by_hand(bench.job())
     assert outcome is Outcome.CYCLES_USED
-    assert [line.split(";")[0] for line in asked] == [
+    assert [line.split(".")[0] for line in asked] == [
         "change: mount the tool 'wide'",
         "change: mount the tool 'narrow'",
     ]
@@ -143,7 +143,7 @@ async def test_what_a_pass_taught_of_one_tool_is_believed_of_that_tool_alone(ben
     assert restarted.tool == "narrow"
     restarted.tools.take_of(bench.journal.passes[0])
     job.tools.take_of(bench.journal.passes[0])
-    assert restarted.tools.believed.rate == pytest.approx(job.tools.believed.rate)
+    assert restarted.tools.estimates.rate == pytest.approx(job.tools.estimates.rate)
 
 
 @pytest.mark.full
@@ -164,22 +164,22 @@ async def test_a_pass_that_is_torn_off_is_made_again_with_its_tool(bench: TwoToo
 
 CHANGER = """
 import os, pathlib
-pathlib.Path({told!r}).open("a").write(os.environ["POLISHD_TOOL"] + "\\n")
+pathlib.Path({log!r}).open("a").write(os.environ["POLISHD_TOOL"] + "\\n")
 raise SystemExit(int(pathlib.Path({broken!r}).exists()))
 """
 
 
 async def test_a_command_changes_the_tool_and_is_run_again_where_it_failed(bench: TwoTools, tmp_path: Path) -> None:
-    told, broken = tmp_path / "told", tmp_path / "broken"
+    log, broken = tmp_path / "log", tmp_path / "broken"
     broken.touch()
-    script = CHANGER.format(told=str(told), broken=str(broken))
+    script = CHANGER.format(log=str(log), broken=str(broken))
     job = bench.job(change=HandlingStep(command=(sys.executable, "-c", script), timeout_s=60.0))
     with pytest.raises(HandlingError, match="change"):
         await bench.polish(job)
-    assert not bench.fake.of("actuator.set_force"), "nothing was pressed with a tool that nobody knows"
+    assert not bench.fake.of("actuator.set_force"), "no force with an unknown tool"
     assert mounted(bench.journal) == ""
     broken.unlink()
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    assert told.read_text().split() == ["wide", "wide", "narrow"]
+    assert log.read_text().split() == ["wide", "wide", "narrow"]
     (row, *_) = json.loads(json.dumps(job.summary()["cycles"]))
     assert row["tool"] == "wide"

@@ -1,4 +1,4 @@
-"""What the campaigns hold the journal to: it finds each way in which journal and plant can contradict each other."""
+"""The check of the campaigns finds each contradiction between journal and plant."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_contradictions(
         (True, (0.1, 0.1, 0.14, 0.06), []),  # shared out otherwise
         (True, (0.1, 0.1, 0.18, 0.02), ["block 2: touched in 0.100 s; the plant saw 0.180 s", "block 3: touched"]),
         (True, (0.1, 0.1, 0.14, 0.14), ["blocks 2 to 3: 0.200 s in all; the plant saw 0.280 s"]),
-        (True, (0.1, 0.14, 0.1, 0.1), ["block 1: touched in 0.100 s; the plant saw 0.140 s"]),  # told by itself
+        (True, (0.1, 0.14, 0.1, 0.1), ["block 1: touched in 0.100 s; the plant saw 0.140 s"]),  # reported alone
         (None, (0.1, 0.1, 0.14, 0.0), []),
         (None, (0.1, 0.1, 0.18, 0.0), ["block 2: executed in 0.100 s; the plant saw 0.180 s"]),
     ],

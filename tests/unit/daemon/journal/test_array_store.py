@@ -1,4 +1,4 @@
-"""Arrays beside the journal: what is named by its hash is what was kept, or is refused."""
+"""Arrays beside the journal: content with the named hash, or an error."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def test_what_is_not_what_the_journal_names_is_refused(store: ArrayStore, harm: 
         path.write_bytes(
             content[:-1] if harm == "cut short" else content[:40] + bytes([content[40] ^ 1]) + content[41:]
         )
-    with pytest.raises(ConfigError, match=r"\.npz: .*(No such file|another hash).*or give job.id a new name"):
+    with pytest.raises(ConfigError, match=r"\.npz: .*(No such file|another hash).*or set a new job.id"):
         store.get(name)
 
 
 def test_a_disk_that_takes_nothing_stops_the_job(store: ArrayStore, tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file in its way")
-    with pytest.raises(SafetyStop, match=r"store/.*cannot be written: .*mend the disk"):
+    with pytest.raises(SafetyStop, match=r"store/.*cannot be written: .*Repair the disk"):
         store.put({"a": np.arange(9)})
 
 

@@ -1,4 +1,4 @@
-"""What the journal's rows say of a cell's parts, read beside whoever writes it."""
+"""History of a cell's parts from the journal's rows, read beside a writer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHOWN = PassIndicators(10.0, 1.0, 1.5, 1.0, 600.0, Estimate(0.9, 0.02), None, No
 
 
 def polished(folder: Path, job: str, *, rms_nm: float = 1.5, outcome: Outcome | None = Outcome.IN_TOLERANCE) -> None:
-    """A job of one pass that came to its end, and one that did not."""
+    """A job with one complete pass, and one with an interrupted pass."""
     with Journal.open(folder, job=job, part_id=f"{job}-part") as journal:
         for cycle, how in enumerate(("done", "interrupted")):
             judged = [LineResult("PV", 30.0 / (1 + cycle), 20.0, "nm").facts()]
@@ -60,10 +60,10 @@ def test_all_jobs_in_order_while_another_writes(tmp_path: Path) -> None:
     polished(tmp_path, "b", outcome=Outcome.STALLED)
     with Journal.open(tmp_path, job="c", part_id="P") as journal:
         journal.record_map(0, "c0", "x", {"rms_nm": 9.0})
-        told = [(job.job, job.outcome) for job in read_history(tmp_path)]
+        jobs = [(job.job, job.outcome) for job in read_history(tmp_path)]
         journal.record_map(1, "c1", "x", {"rms_nm": 8.0})
         assert [one.rms_nm for one in read_history(tmp_path)[-1].measured] == [9.0, 8.0]
-    assert told == [("a", "in_tolerance"), ("b", "stalled"), ("c", "")]
+    assert jobs == [("a", "in_tolerance"), ("b", "stalled"), ("c", "")]
 
 
 def test_a_map_that_was_taken_again_counts_once(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_reading_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_no_journal_and_one_that_is_none_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"journal\.sqlite: is not there: no job was begun in this cell yet"):
+    with pytest.raises(ConfigError, match=r"journal\.sqlite: not found: this cell has begun no job yet"):
         read_history(tmp_path)
     (tmp_path / "journal.sqlite").write_bytes(b"no database at all, however long it may be" * 100)
     with pytest.raises(ConfigError, match="the history cannot be read: file is not a database"):

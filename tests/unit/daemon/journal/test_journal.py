@@ -1,4 +1,4 @@
-"""The journal: what it acknowledged is there after any crash, and a lost journal stops everything."""
+"""The journal: acknowledged rows survive any crash, and a lost journal stops the job."""
 
 from __future__ import annotations
 
@@ -124,8 +124,8 @@ def test_another_job_takes_the_place_of_one_that_was_not_finished(
         assert not journal.resumed
         assert journal.unfinished() is None
         assert list(journal.remaining(2)) == [0, 1]
-    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "other took its place")]
-    assert "the job 'job' was not finished; 'other' takes its place" in caplog.text
+    assert rows(tmp_path, "SELECT outcome, detail FROM job WHERE id = 1") == [("stopped", "other replaced it")]
+    assert "the unfinished job 'job' ends: the job 'other' replaces it" in caplog.text
 
 
 def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_a_job_keeps_what_it_was_begun_with_once_it_has_measured(tmp_path: Path)
 
 
 async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the order of a cycle, over all cycles and attempts; what has not ended counts for nothing yet."""
+    """In the order of a cycle, over all cycles and attempts; a phase without an end does not count."""
     times = iter([100.0, 104.0, 110.0, 111.0, 120.0, 123.5, 130.0])
     monkeypatch.setattr("polishd.daemon.journal.journal.time.time", lambda: next(times))
     for cycle, phase in ((0, CyclePhase.RUN), (1, CyclePhase.MEASURE), (1, CyclePhase.RUN)):
@@ -193,7 +193,7 @@ def test_intent_is_durable_before_start(tmp_path: Path, journal: Journal) -> Non
 def test_a_cycle_has_one_pass(journal: Journal) -> None:
     journal.begin_pass(0, "prog", "boot", 3)
     journal.end_pass(0, "stopped")
-    with pytest.raises(PolishdError, match="cycle 0 has had its pass; nothing is run twice"):
+    with pytest.raises(PolishdError, match="cycle 0 has a pass already"):
         journal.begin_pass(0, "prog", "boot", 3)
 
 
@@ -204,7 +204,7 @@ def test_executed_blocks_come_back_as_arrays(journal: Journal) -> None:
     )
     journal.record_executed(2, [BlockRecord(block(5), None)])
     again = BlockRecord(ExecutedBlock(2, 99.0, 100.0), True)
-    journal.record_executed(2, [again])  # told again after a reconnect: the first word stands
+    journal.record_executed(2, [again])  # reported again after a reconnect: the first record stays
     found = journal.executed(2)
     np.testing.assert_array_equal(found.seq, [0, 1, 2, 4, 5])
     assert found.seq.dtype == np.int64
@@ -276,7 +276,7 @@ def test_a_disk_that_does_not_keep_up_is_told(journal: Journal, monkeypatch: pyt
     monkeypatch.setattr(store, "LATE_S", 0.0)
     journal.record_executed(0, touched(0))
     assert stalled.wait(30)
-    with pytest.raises(SafetyStop, match=r"a commit has taken 0\.\d s, and no more than 0 s may go unrecorded"):
+    with pytest.raises(SafetyStop, match=r"a commit takes 0\.\d s, the limit is 0 s"):
         journal.require_in_time()
     journal.record_executed(0, touched(1))
     release.set()
@@ -417,7 +417,7 @@ PRAGMA user_version = 1;
 """  # noqa: E501
 
 
-# what the polishd of format 2 had beside that, and a pass of which the robot told the rest
+# additions of format 2, and a pass whose last blocks the robot reported after an interruption
 FORMAT_2 = f"""
 {FORMAT_1} {store.FROM_1}
 UPDATE job SET terms = '{{}}' WHERE id = 2;
@@ -452,7 +452,7 @@ def of_format_2(tmp_path: Path) -> Path:
 
 
 def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
-    """Contact of what the robot told after an interruption was marked by its place in the program: nobody knew."""
+    """Format 2 derived the contact of recovered blocks from their position in the program; it was unknown."""
     for _ in range(2):
         with opened(of_format_2) as journal:
             assert journal.resumed
@@ -470,7 +470,7 @@ def test_a_journal_of_format_2_is_read_on(of_format_2: Path) -> None:
 
 
 def test_a_journal_of_format_3_is_read_on(tmp_path: Path) -> None:
-    """Its cells had no force sensor: what acted is what the actuator said."""
+    """Its cells had no force sensor: the acting force is the actuator's."""
     for _ in range(2):
         with opened(made(tmp_path, FORMAT_3) if not list(tmp_path.iterdir()) else tmp_path) as journal:
             assert journal.resumed

@@ -1,4 +1,4 @@
-"""Flipped bits anywhere in a journal's files: an error that says where, or nothing is lost; never silence."""
+"""Flipped bits anywhere in a journal's files: an error that names the location, or no loss."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 
 async def two_jobs(state: Path) -> Journal:
-    """One that ended, and one that is cut off in its second pass; open."""
+    """A journal with an ended job and one that is interrupted in its second pass; open."""
     for job in ("first", "second"):
         journal = Journal.open(state, job=job, part_id="P1", terms={"process.load_n": 20.0})
         for cycle in range(2):
@@ -127,7 +127,7 @@ def used(state: Path) -> None:
 
 
 def tried(left: Mapping[str, Path], state: Path, flips: int, seed: int) -> dict[str, int]:
-    """Flip one bit at a time, and open: how often that was an error, and how often nothing was lost."""
+    """Flip one bit at a time, and open; return the number of errors and of openings without a loss."""
     luck, found = random.Random(seed), {"error": 0, "nothing is lost": 0}
     wanted = {name: content(copied(folder, state)) for name, folder in left.items()}
     for number in range(flips):
@@ -140,7 +140,7 @@ def tried(left: Mapping[str, Path], state: Path, flips: int, seed: int) -> dict[
         said = refusal(state)
         if said:
             assert "\n" not in said, where
-            assert "To do: " in said or "move the file aside" in said or "format" in said, where
+            assert "Check the disk" in said or "Move the file" in said or "format" in said, where
             assert files(state) == before, f"{where}: what was found is left as it is"
         else:
             assert content(state) == wanted[name], where
@@ -149,7 +149,7 @@ def tried(left: Mapping[str, Path], state: Path, flips: int, seed: int) -> dict[
 
 
 def refusal(state: Path) -> str:
-    """The one sentence with which a start is refused; empty where it is not."""
+    """Return the error of a refused start; empty where it starts."""
     try:
         used(state)
     except ConfigError as error:
@@ -182,8 +182,8 @@ def test_a_damaged_row_is_named_with_what_to_do(left: Mapping[str, Path], tmp_pa
         used(state)
     assert str(found.value) == (
         f"{state / JOURNAL_NAME}: the journal is damaged: the row job = 2 AND cycle = 0 of pass does not match its "
-        f"checksum. To do: check the disk and the memory of this computer, then restore {state} from a backup, or move "
-        "journal.sqlite, journal.sqlite-wal and journal.commits aside to begin with an empty journal"
+        f"checksum. Check the disk and the memory of this computer, then restore {state} from a backup, or move "
+        "journal.sqlite, journal.sqlite-wal and journal.commits to another folder to begin an empty journal"
     )
 
 
@@ -242,7 +242,7 @@ def test_a_journal_of_an_earlier_format_with_broken_json_is_not_brought_up_to_da
     with closing(sqlite3.connect(path, isolation_level=None)) as file:
         file.executescript(f"PRAGMA journal_mode=WAL; {FORMAT_5}")
         file.execute("INSERT INTO event (job, at, name, data) VALUES (0, 1.0, 'held', '{\"a\": ')")
-    with pytest.raises(JournalDamage, match=r"data of the row rowid = 1 of event is no JSON\. To do: "):
+    with pytest.raises(JournalDamage, match=r"data of the row rowid = 1 of event is not JSON\. Check "):
         Store.open(path)
     with closing(sqlite3.connect(path)) as file:
         assert file.execute("PRAGMA user_version").fetchone() == (5,)
@@ -330,7 +330,7 @@ async def until(there: Callable[[], bool]) -> None:
 
 
 def states(site: Site) -> list[str]:
-    return [str(event.data["state"]) for event in site.told if event.name == "state_changed"]
+    return [str(event.data["state"]) for event in site.published if event.name == "state_changed"]
 
 
 async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(site: Site) -> None:
@@ -338,14 +338,14 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     state, program = site.config.state_dir, site.program.sha256.encode()
     flipped_row(state, program)
     before = files(state)
-    site.told.clear()
+    site.published.clear()
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell_or_error(site))
         await until(lambda: "held" in states(site))
         status = await asyncio.to_thread(request, state, "status")
         assert (status["state"], status["job"]) == ("held", "small")
         assert "JournalDamage: " in status["reason"]
-        assert "does not match its checksum. To do: " in status["reason"]
+        assert "does not match its checksum. Check " in status["reason"]
         for verb in ("resume", "queue_list"):
             refused = await asyncio.to_thread(request, state, verb)
             assert refused["error"].startswith("the cell stays held: JournalDamage: "), verb
@@ -355,13 +355,13 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     assert isinstance(task.result(), JournalDamage)
     assert site.bench is not None
     assert site.bench.fake.events == [], "no device was opened"
-    assert [event.data["kind"] for event in site.told if event.name == "cell_held"] == ["JournalDamage"]
+    assert [event.data["kind"] for event in site.published if event.name == "cell_held"] == ["JournalDamage"]
     assert files(state) == before, "it is left as it is, for whoever mends it"
     assert last_ending(state)["reason"].startswith("JournalDamage: ")
 
 
 async def run_cell_or_error(site: Site) -> Any:
-    """The summary, or what ended it."""
+    """Return the summary, or the error that ended it."""
     try:
         return await run_cell(site.config, site.hooks)
     except JournalDamage as error:

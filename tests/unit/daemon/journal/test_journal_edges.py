@@ -1,4 +1,4 @@
-"""Journals that cannot be opened, written or copied: nothing half-written, and nothing left open behind."""
+"""Journals that cannot be opened, written or copied: no partial file, and no open connection."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_of_rows_that_are_written_together_none_stays_where_one_is_refused(tmp_p
     with pytest.raises(SafetyStop, match=r"journal lost: .*NOT NULL"):
         store.write(good, (good[0], ("b", None, "null", 1.0)))
     other = sqlite3.connect(tmp_path / JOURNAL_NAME, timeout=0.0, isolation_level=None)
-    other.execute("BEGIN IMMEDIATE")  # nobody holds it any more
+    other.execute("BEGIN IMMEDIATE")  # no connection holds it any more
     assert other.execute("SELECT count(*) FROM job").fetchone() == (0,)
     other.close()
     with pytest.raises(SafetyStop, match="journal lost"):

@@ -1,4 +1,4 @@
-"""What is asked of the journal's file: why a cell was held, how long phases took, what was executed."""
+"""Reads of the journal's file: why a cell was held, times of phases, executed blocks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def state(name: str, reason: str = "") -> object:
 
 def ended(stops: str) -> QueueJobEnded:
     return QueueJobEnded(
-        job="a", part_id="P", verdict="rejected", reason="all its passes are used", stops=stops, run_dir=""
+        job="a", part_id="P", verdict="rejected", reason="the job has used all its passes", stops=stops, run_dir=""
     )
 
 
@@ -43,7 +43,7 @@ def ended(stops: str) -> QueueJobEnded:
         ([state("held", "gone"), state("finished", "stopped"), state("starting")], "gone"),  # it comes up held again
         ([state("polishing"), state("held", "one"), state("held", "two")], "two"),
         ([state("idle"), ended(""), state("finished")], ""),
-        ([ended("worn")], "the queue stopped: worn; a was rejected: all its passes are used"),
+        ([ended("worn")], "the queue stopped: worn; a was rejected: the job has used all its passes"),
         ([state("held", "x"), state("idle"), ended("worn"), state("finished")], "the queue stopped: worn"),
         ([ended("worn"), state("idle")], ""),
         ([state("held", "x"), CellHeld(error="y", kind="z")], "x"),

@@ -1,4 +1,4 @@
-"""The journal against a model of itself: any order of acts, with restarts between them, is remembered alike."""
+"""The journal against a model: the same records after any order of calls and restarts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The journal's file: what is buffered, what is durable, how long it has waited, and that a loss is told for good."""
+"""File of the journal: buffered rows, durable rows, their waiting time, and the permanent error after a loss."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def store(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
-    """Of which the thread commits nothing by itself."""
+    """Store whose thread commits nothing."""
     monkeypatch.setattr(journal_store, "COMMIT_S", 1e6)
     found = Store.open(path)
     yield found
@@ -111,7 +111,7 @@ def test_a_process_that_ends_without_closing_ends(store: Store) -> None:
 
 
 def test_what_is_read_needs_no_lock_of_the_file(store: Store, path: Path) -> None:
-    """Whoever copies the file by other means holds it for as long as he likes."""
+    """Another program that copies the file may lock it for any time."""
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     assert store.read(EVENTS) == []
@@ -172,7 +172,7 @@ def test_just_so_late_is_in_time_and_later_is_not(store: Store, monkeypatch: pyt
     clock.now_s += LATE_S
     store.require_in_time()
     clock.now_s += 0.5
-    with pytest.raises(SafetyStop, match=r"journal.sqlite: a commit has taken 2\.5 s, and no more than 2 s may go"):
+    with pytest.raises(SafetyStop, match=r"journal.sqlite: a commit takes 2\.5 s, the limit is 2 s"):
         store.require_in_time()
     store.write()
     store.require_in_time()
@@ -245,7 +245,7 @@ async def test_all_who_wait_for_a_loss_hear_of_one_in_the_thread(store: Store) -
         with pytest.raises(SafetyStop, match="no such table: nowhere"):
             await one
     store._thread.join()
-    assert store._waiters == [], "who has gone is not told"
+    assert store._waiters == [], "a cancelled waiter is removed"
 
 
 def test_a_loss_at_the_end_is_told_and_the_file_is_closed_all_the_same(store: Store) -> None:

@@ -1,4 +1,4 @@
-"""What the journal says from memory is what a daemon that starts reads from the file; and every word of it is kept."""
+"""Records in memory equal those that a starting daemon reads from the file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def block(seq: int, touched: bool | None) -> BlockRecord:
 
 
 def known(journal: Journal) -> dict[str, Any]:
-    """All that it says without asking the disk."""
+    """All records in memory."""
     cycles = range(4)
     return {
         "number": journal.number,
@@ -53,7 +53,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 
 def agrees(tmp_path: Path, journal: Journal) -> dict[str, Any]:
-    """Both say the same; what they say."""
+    """Require that both records are equal, and return them."""
     journal.flush()
     said = known(journal)
     with opened(tmp_path, a=1) as again:
@@ -81,11 +81,11 @@ async def test_of_each_thing_that_is_recorded(tmp_path: Path, journal: Journal) 
     assert (record.stats, said["map"], said["begun"], said["phase"]) == ({"rms_nm": 2.5}, "aa", True, (0, "measure"))
     journal.begin_pass(0, "prog", "boot", 9, facts={"n": np.int64(3)}, plan="plan", start="start", reach_s=4.5)
     (begun,) = agrees(tmp_path, journal)["passes"]
-    assert (begun.contact_from, begun.contact_to, begun.blocks) == (0, 9, 9), "all of them, where nobody says"
+    assert (begun.contact_from, begun.contact_to, begun.blocks) == (0, 9, 9), "the default is all blocks"
     assert (begun.facts, begun.plan, begun.start, begun.reach_s) == ({"n": 3}, "plan", "start", 4.5)
     assert (begun.ended_s, begun.how, begun.uncertain) == (None, None, None)
     journal.record_executed(0, [block(0, True), block(1, None), block(2, False)])
-    journal.record_executed(0, [block(1, True), block(2, True)])  # told again: the first word stands
+    journal.record_executed(0, [block(1, True), block(2, True)])  # reported again: the first record stays
     said = agrees(tmp_path, journal)
     assert (said["tallies"][0].done, said["tallies"][0].last_seq, said["contact_s"][0]) == (3, 2, 0.5)
     assert said["uncertain"][0] == ((1, 2),)
@@ -202,9 +202,9 @@ async def test_what_ended_a_phase_is_told_before_the_loss_of_the_journal(
             monkeypatch.setattr(journal, "_end_phase", lost)
             raise WrongSeat("crooked")
 
-    with pytest.raises(WrongSeat, match="crooked") as told:
+    with pytest.raises(WrongSeat, match="crooked") as raised:
         await work()
-    assert told.value.__notes__ == ["journal lost"]
+    assert raised.value.__notes__ == ["journal lost"]
 
 
 async def test_where_the_robot_stands_amid_a_pass_is_known_until_another_pass_was_whole(journal: Journal) -> None:
@@ -220,7 +220,7 @@ async def test_where_the_robot_stands_amid_a_pass_is_known_until_another_pass_wa
     await run(CyclePhase.TOUCH_OFF, PolishdError("the link"))
     assert journal.cut_off() == 2
     await run(CyclePhase.MEASURE)
-    assert journal.cut_off() == 2, "nobody has moved it"
+    assert journal.cut_off() == 2, "the robot was not moved"
     await run(CyclePhase.TOUCH_OFF, WrongSeat("crooked"))
     assert journal.cut_off() is None, "the robot left it"
     await run(CyclePhase.RUN, PolishdError("WrongSeat"))

@@ -1,4 +1,4 @@
-"""Arrays beside the journal: theirs is a folder of files that nobody else reads or writes."""
+"""Arrays beside the journal, in a folder that no other program reads or writes."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def test_where_it_is_gone_or_another_one_is_said_with_what_to_do(store: ArraySto
     name = store.put({"a": np.arange(3)})
     path = store.folder / f"{name}.npz"
     path.write_bytes(b"another")
-    todo = "the job cannot go on without it: restore the file, or give job.id a new name"
+    todo = "the job cannot continue without it. Restore the file, or set a new job.id"
     with pytest.raises(ConfigError) as other:
         store.content(name)
-    assert str(other.value) == f"{path}: is not what the journal names: its content has another hash; {todo}"
+    assert str(other.value) == f"{path}: the content has another hash than the journal states; {todo}"
     store.remove(name)
     with pytest.raises(ConfigError) as gone:
         store.content(name)
@@ -58,5 +58,7 @@ def test_where_it_is_gone_or_another_one_is_said_with_what_to_do(store: ArraySto
 
 def test_a_folder_that_cannot_be_made_stops_polishing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(SafetyStop, match="cannot be written: Not a directory; polishing without a record is refused"):
+    with pytest.raises(
+        SafetyStop, match="cannot be written: Not a directory; the daemon does not polish without a record"
+    ):
         ArrayStore(tmp_path / "file" / "store").put({"a": np.arange(3)})

@@ -1,4 +1,4 @@
-"""The journal's file is made, brought up to date and copied whole; one that cannot be used is left as it is, closed."""
+"""The journal's file is created, converted and copied; an unusable one is closed and unchanged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.model.errors import ConfigError
 
 
 class Opened:
-    """A ``Connect``; ``connection`` is the one that was made."""
+    """A ``Connect`` that records its ``connection``."""
 
     def __init__(self) -> None:
         self.connection: sqlite3.Connection | None = None
@@ -109,7 +109,7 @@ def test_a_file_of_another_format_is_closed_and_stays(path: Path) -> None:
 def test_what_is_no_journal_may_go(path: Path) -> None:
     path.write_bytes(b"no database, and long enough to be asked for its header " * 20)
     opened = Opened()
-    with pytest.raises(ConfigError, match=r"the journal cannot be used: .*; move the file aside to start a new one"):
+    with pytest.raises(ConfigError, match=r"the journal cannot be used: .*\. Move the file to another folder"):
         open_file(path, opened)
     assert opened.closed()
 
@@ -124,14 +124,14 @@ def test_what_the_disk_refuses_stays_where_it_is(path: Path, monkeypatch: pytest
     monkeypatch.setattr(store, "sync_folder", fails)
     opened = Opened()
     with pytest.raises(
-        ConfigError, match=r"the journal cannot be used: .*; leave the file where it is, and mend the disk"
+        ConfigError, match=r"the journal cannot be used: .*\. Leave the file in place, and repair the disk"
     ):
         open_file(path, opened)
     assert opened.closed()
 
 
 def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"the journal cannot be opened: .*; look at cell.state_dir"):
+    with pytest.raises(ConfigError, match=r"the journal cannot be opened: .*\. Check cell.state_dir"):
         open_file(tmp_path / "no" / "journal.sqlite")
 
 

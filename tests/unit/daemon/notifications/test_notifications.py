@@ -1,4 +1,4 @@
-"""Somebody hears of it: a cell whose people are reached, later, or not at all, and which does not care."""
+"""Notifications of a cell: sent at once, later, or never, without an effect on the cell."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
 
 
 @pytest.fixture
-def told_by(site: Site, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """``told_by(notifier, ...)``: those are what the site's config names."""
+def notified_by(site: Site, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """``notified_by(notifier, ...)``: the notifiers of the site's config."""
 
     def wanted(*notifiers: Notifier) -> None:
         monkeypatch.setattr(app, "build_notifiers", lambda config, hooks: notifiers)
@@ -108,48 +108,48 @@ def waiting(site: Site, name: str) -> list[str]:
 
 
 @pytest.mark.full
-async def test_a_pass_that_fails_is_told_by_mail_webhook_and_command_in_the_words_of_status(
-    site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
+async def test_a_pass_that_fails_is_notified_by_mail_webhook_and_command_in_the_words_of_status(
+    site: Site, notified_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fails_in_a_pass(site, monkeypatch)
     with mail_server() as server, web_server() as hook:
-        command = real("command", site, argv=["sh", "-c", "cat > told"])
-        told_by(mail(site, server.port), real("webhook", site, url=hook.url, token="file:secret"), command)
+        command = real("command", site, argv=["sh", "-c", "cat > received"])
+        notified_by(mail(site, server.port), real("webhook", site, url=hook.url, token="file:secret"), command)
         summary = await run_cell(site.config, site.hooks)
     assert summary["outcome"] == "failed"
     posted = json.loads(hook.posted[0][2])
     assert posted["what"] == f"failed: {summary['reason']}"
     assert posted["now"] == "the daemon has ended; tool off the part: yes; robot at rest: yes"
     assert posted["todo"] == summary["next"].replace("CELL.toml", str(site.path))
-    told = {key: posted[key] for key in ("severity", "cell", "job", "part", "run_dir")}
-    assert told == {
+    found = {key: posted[key] for key in ("severity", "cell", "job", "part", "run_dir")}
+    assert found == {
         "severity": "alarm", "cell": "bench", "job": "small", "part": "P-1", "run_dir": summary["run_dir"]
     }  # fmt: skip
-    assert json.loads((site.config.base_dir / "told").read_text()) == posted
+    assert json.loads((site.config.base_dir / "received").read_text()) == posted
     (_, received), *_ = server.taken
     assert " ".join(received["Subject"].split()) == posted["title"]
-    assert len(hook.posted) == len(server.taken) == 1, "held is not failed, and the end is told once"
+    assert len(hook.posted) == len(server.taken) == 1, "held is not failed, and the end is sent once"
     assert server.logins == [f"\0cell\0{SECRET}"]
     for path in site.config.base_dir.rglob("*"):
         if path.is_file() and path.name != "secret":
             assert SECRET.encode() not in path.read_bytes(), path
 
 
-async def test_what_could_not_be_sent_at_the_end_is_sent_at_the_next_start(site: Site, told_by: Any) -> None:
+async def test_what_could_not_be_sent_at_the_end_is_sent_at_the_next_start(site: Site, notified_by: Any) -> None:
     def refuse() -> Any:
         raise StaleMap("late")
 
     site.measure = refuse
     with mail_server() as server:
         port = server.port
-    told_by(mail(site, port))
+    notified_by(mail(site, port))
     await run_cell(site.config, site.hooks, holds=False)
     assert waiting(site, "email") == ["failed: StaleMap: late"]
-    (told,) = journalled(site, "notification_failed")
-    assert (told["notifier"], told["waiting"]) == ("email", 1)
-    assert "refused" in told["error"]
+    (failed,) = journalled(site, "notification_failed")
+    assert (failed["notifier"], failed["waiting"]) == ("email", 1)
+    assert "refused" in failed["error"]
     log = (site.config.state_dir / "polishd.log").read_text()
-    assert "'email': what waits for the next start: 1, in " in log
+    assert "'email': 1 notifications wait for the next start in " in log
     assert SECRET not in log
     site.measure = None
     with mail_server(port) as server:
@@ -161,62 +161,64 @@ async def test_what_could_not_be_sent_at_the_end_is_sent_at_the_next_start(site:
 
 @pytest.mark.full
 async def test_a_mail_server_that_hangs_does_not_hold_up_the_end(
-    site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
+    site: Site, notified_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(notifications, "SEND_TO_THE_END_S", 0.5)
     monkeypatch.setattr(notifications, "END_S", 1.0)
     with mail_server() as server:
         server.silent.set()
-        told_by(mail(site, server.port))
+        notified_by(mail(site, server.port))
         summary = await run_cell(site.config, site.hooks)
         assert server.asked.acquire(timeout=SOON_S)
         assert waiting(site, "email") == ["in_tolerance"]
     assert summary["outcome"] == "in_tolerance"
 
 
-async def test_a_broken_notifier_takes_nothing_down(site: Site, told_by: Any) -> None:
+async def test_a_broken_notifier_takes_nothing_down(site: Site, notified_by: Any) -> None:
     def breaks(_: Notification) -> None:
         raise SystemExit("who wrote this")
 
-    told: list[Notification] = []
-    told_by(notifier(breaks, "broken", Severity.INFO), notifier(told.append, "sound", Severity.INFO))
+    received: list[Notification] = []
+    notified_by(notifier(breaks, "broken", Severity.INFO), notifier(received.append, "sound", Severity.INFO))
     summary = await run_cell(site.config, site.hooks)
     assert summary["outcome"] == "in_tolerance"
-    assert {"run_folder_completed"} <= {one.event for one in told} <= {"run_folder_completed", "notification_failed"}
+    assert (
+        {"run_folder_completed"} <= {one.event for one in received} <= {"run_folder_completed", "notification_failed"}
+    )
     assert [one["error"] for one in journalled(site, "notification_failed")] == ["SystemExit: who wrote this"]
 
 
 @pytest.mark.full
 async def test_what_waits_for_a_notifier_that_is_gone_is_told(
-    site: Site, told_by: Any, monkeypatch: pytest.MonkeyPatch
+    site: Site, notified_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(_: Notification) -> None:
         raise OSError("down")
 
     monkeypatch.setattr(sender, "FIRST_PAUSE_S", 1e6)
-    told_by(notifier(breaks, "old", Severity.INFO))
+    notified_by(notifier(breaks, "old", Severity.INFO))
     await run_cell(site.config, site.hooks)
-    told_by(notifier(lambda _: None, "new", Severity.INFO))
+    notified_by(notifier(lambda _: None, "new", Severity.INFO))
     await run_cell(site.config, site.hooks)
     log = (site.config.state_dir / "polishd.log").read_text()
-    assert "old.json: 1 wait in it for a notifier that the config does not name any more" in log
+    assert "old.json: 1 notifications wait for a notifier that is not in the config any more" in log
     assert waiting(site, "old") == ["in_tolerance"]
 
 
-async def test_who_wants_nothing_has_no_folder(site: Site, told_by: Any) -> None:
-    told_by()
+async def test_who_wants_nothing_has_no_folder(site: Site, notified_by: Any) -> None:
+    notified_by()
     await run_cell(site.config, site.hooks)
     assert not (site.config.state_dir / "notify").exists()
 
 
-# a courier
+# a sender
 
 
 class People:
-    """Whoever is told, once they listen."""
+    """Receivers that fail until ``deaf`` is cleared."""
 
     def __init__(self) -> None:
-        self.told: list[Notification] = []
+        self.received: list[Notification] = []
         self.failures: list[NotificationFailed] = []
         self.deaf = True
         self.called = threading.Semaphore(0)
@@ -226,8 +228,8 @@ class People:
     def hear(self, notification: Notification) -> None:
         self.called.release()
         if self.deaf:
-            raise OSError("nobody answers")
-        self.told.append(notification)
+            raise OSError("no answer")
+        self.received.append(notification)
         self.came.release()
 
     def fail(self, event: NotificationFailed) -> None:
@@ -245,14 +247,14 @@ def notification(tmp_path: Path, site: Site) -> Notification:
     """Of a cell that is held."""
     heard: list[Notification] = []
     teller = Notifications(site.config, KNOWN)
-    teller._couriers = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
-    teller.hear(HELD)
+    teller._senders = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
+    teller.on_event(HELD)
     return heard[0]
 
 
 @pytest.fixture
 def sending(tmp_path: Path, people: People) -> Iterator[NotificationSender]:
-    """A courier to those people."""
+    """A sender to those people."""
     found = NotificationSender(notifier(people.hear), tmp_path, people.fail)
     found.start()
     yield found
@@ -269,8 +271,8 @@ def test_one_that_fails_is_tried_again_and_told_once(
         assert people.called.acquire(timeout=SOON_S)
     people.deaf = False
     assert people.came.acquire(timeout=SOON_S)
-    assert people.told == [notification]
-    assert [(one.error, one.waiting) for one in people.failures] == [("OSError: nobody answers", 1)]
+    assert people.received == [notification]
+    assert [(one.error, one.waiting) for one in people.failures] == [("OSError: no answer", 1)]
 
 
 def test_what_is_less_severe_than_wanted_is_not_told(
@@ -282,7 +284,7 @@ def test_what_is_less_severe_than_wanted_is_not_told(
     sending.take(notification)
     sending.end(time.monotonic() + SOON_S)
     sending.join(SOON_S)
-    assert people.told == []
+    assert people.received == []
 
 
 def test_the_end_is_one_more_chance_for_all_that_waits(
@@ -300,12 +302,12 @@ def test_the_end_is_one_more_chance_for_all_that_waits(
     people.deaf = False
     sending.end(time.monotonic() + SOON_S)
     sending.join(SOON_S)
-    assert people.told == [notification]
+    assert people.received == [notification]
     assert json.loads(outbox_path(tmp_path, "pager").read_text())["waiting"] == []
 
 
 def test_the_end_is_no_second_chance(sending: NotificationSender, people: People, notification: Notification) -> None:
-    """Where nobody answers, nobody waits for all the time that there is."""
+    """The end does not use its whole time limit for a notifier that fails."""
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
     sending.end(time.monotonic() + SOON_S)
@@ -335,7 +337,7 @@ def test_one_that_never_comes_back_is_told_and_not_called_again_until_it_does(
     assert people.came.acquire(timeout=SOON_S)
     sending.end(time.monotonic() + SOON_S)
     sending.join(SOON_S)
-    assert people.told == [notification], "it was sent, if late"
+    assert people.received == [notification], "it was sent, if late"
     assert [one.error for one in people.failures] == [sender.HUNG]
 
 
@@ -355,7 +357,7 @@ def test_the_end_does_not_wait_for_one_that_hangs(
     assert [one["id"] for one in json.loads(outbox_path(tmp_path, "pager").read_text())["waiting"]] == [notification.id]
 
 
-def test_what_cannot_be_read_is_logged_and_the_courier_works(
+def test_what_cannot_be_read_is_logged_and_the_sender_works(
     tmp_path: Path, people: People, notification: Notification, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = outbox_path(tmp_path, "pager")
@@ -371,7 +373,7 @@ def test_what_cannot_be_read_is_logged_and_the_courier_works(
     assert "pager.json cannot be read" in caplog.text
 
 
-def test_a_folder_that_takes_nothing_is_logged_and_the_courier_works(
+def test_a_folder_that_takes_nothing_is_logged_and_the_sender_works(
     tmp_path: Path, people: People, notification: Notification, caplog: pytest.LogCaptureFixture
 ) -> None:
     outbox_path(tmp_path, "pager").parent.write_text("in the way")
@@ -404,18 +406,18 @@ def test_what_is_given_up_is_in_the_log_with_all_its_words(
 
 
 async def test_two_broken_notifiers_tell_of_each_other_once(site: Site, people: People) -> None:
-    """What fails is not told by what fails; no failure leads to another for ever."""
+    """A failed notifier does not report its failure; no endless chain of failures."""
     teller = Notifications(site.config, KNOWN)
     failed = threading.Semaphore(0)
 
     def tell(event: Event) -> None:
         people.failures.append(event)  # type: ignore[arg-type]
-        teller.hear(event)  # as the bus does
+        teller.on_event(event)  # as the bus does
         failed.release()
 
     site.config.state_dir.mkdir()
     teller.start([notifier(people.hear, name) for name in ("a", "b")], tell)
-    teller.hear(HELD)
+    teller.on_event(HELD)
     for _ in range(2):
         assert failed.acquire(timeout=SOON_S)
     await teller.close()
@@ -428,10 +430,12 @@ async def test_two_broken_notifiers_tell_of_each_other_once(site: Site, people: 
 def test_what_is_known_of_the_job_is_what_events_said_last(site: Site) -> None:
     heard: list[Notification] = []
     teller = Notifications(site.config, KNOWN)
-    teller._couriers = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
-    teller.hear(HELD)
-    teller.hear(MapMeasured(stats=SurfaceStats(rms_nm=1, pv_nm=2, lsf_rms_nm=1), spikes=0, notes=(), run_dir="after"))
-    teller.hear(HELD)
+    teller._senders = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
+    teller.on_event(HELD)
+    teller.on_event(
+        MapMeasured(stats=SurfaceStats(rms_nm=1, pv_nm=2, lsf_rms_nm=1), spikes=0, notes=(), run_dir="after")
+    )
+    teller.on_event(HELD)
     assert [one.run_dir for one in heard] == ["before", "after"]
     assert heard[0].todo == f"polishd resume {site.path} goes on"
 
@@ -468,15 +472,15 @@ def test_whom_an_event_concerns(event: Event, severity: str | None) -> None:
 
 
 async def test_trying_it_out_tells_how_each_went(site: Site, people: People, monkeypatch: pytest.MonkeyPatch) -> None:
-    back, told = threading.Event(), list[Notification]()
+    back, received = threading.Event(), list[Notification]()
 
     def hangs(_: Notification) -> None:
         assert back.wait(SOON_S)
 
     monkeypatch.setattr(sender.Attempt, "left_s", lambda attempt: 0.05 if attempt._send is hangs else SOON_S)
-    notifiers = [notifier(told.append), notifier(people.hear, "deaf"), notifier(hangs, "hung")]
+    notifiers = [notifier(received.append), notifier(people.hear, "deaf"), notifier(hangs, "hung")]
     found = try_out(site.config, notifiers)
     back.set()
-    assert [one["error"] for one in found] == ["", "OSError: nobody answers", sender.HUNG]
-    assert told[0].severity is Severity.INFO, "though less would not be told"
-    assert "test" in told[0].title
+    assert [one["error"] for one in found] == ["", "OSError: no answer", sender.HUNG]
+    assert received[0].severity is Severity.INFO, "below the limit of the notifier"
+    assert "test" in received[0].title

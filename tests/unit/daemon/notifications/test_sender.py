@@ -1,4 +1,4 @@
-"""What is sent when: repeats are counted, failures are tried again ever later, and nothing is lost unsaid."""
+"""Queue of notifications: repetitions are counted, failures are retried with longer pauses, and each loss is logged."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_night_of_a_flapping_device_is_two_dozen_notifications_and_each_time_i
     assert len(sent) == 25
     assert sum(one.times for one in sent) == 4320
     assert (sent[1].times, sent[1].since) == (179, notification(at_s=NOON_S + 10).at)
-    assert sent[1].what == "held: LinkError: no answer for 1.79 s", "the last one is told"
+    assert sent[1].what == "held: LinkError: no answer for 1.79 s", "the last one is sent"
 
 
 def test_a_night_of_things_that_are_never_the_same_is_bounded_too() -> None:
@@ -76,8 +76,12 @@ def test_a_night_of_things_that_are_never_the_same_is_bounded_too() -> None:
 
 def test_another_thing_or_a_worse_one_is_told_at_once() -> None:
     outbox = NotificationQueue(HALF_HOUR_S)
-    told = notification(), notification("held: MapError: holes"), notification(severity=Severity.ALARM, id="worse")
-    for one in (*told, notification(part="P-2", id="other part")):
+    different = (
+        notification(),
+        notification("held: MapError: holes"),
+        notification(severity=Severity.ALARM, id="worse"),
+    )
+    for one in (*different, notification(part="P-2", id="other part")):
         outbox.add(one, NOON_S)
     assert len(flush(outbox, NOON_S)) == 4
 
@@ -176,20 +180,22 @@ def test_a_daemon_that_is_started_again_each_minute_counts_as_well() -> None:
 @given(st.lists(st.tuples(st.integers(0, 5), st.booleans(), st.floats(0.0, 4000.0)), max_size=60))
 def test_each_event_is_sent_or_counted_once(steps: list[tuple[int, bool, float]]) -> None:
     """Whatever comes, fails, and passes in between; also over restarts."""
-    outbox, now_s, told, sent = NotificationQueue(HALF_HOUR_S), NOON_S, 0, 0
+    outbox, now_s, added, sent = NotificationQueue(HALF_HOUR_S), NOON_S, 0, 0
     for word, works, pause_s in steps:
         now_s += pause_s
-        outbox.add(notification(f"held: {'abcdef'[word]}", now_s, id=str(told)), now_s)
-        told += 1
+        outbox.add(notification(f"held: {'abcdef'[word]}", now_s, id=str(added)), now_s)
+        added += 1
         outbox = NotificationQueue.of(json.loads(json.dumps(outbox.facts())), HALF_HOUR_S)
         if works:
             sent += sum(one.times for one in flush(outbox, now_s))
         elif (due := outbox.due(now_s)) is not None:
             outbox.failed(due, now_s)
-    assert sent + sum(one.times for one in flush(outbox, now_s + 1e5)) == told
+    assert sent + sum(one.times for one in flush(outbox, now_s + 1e5)) == added
 
 
-@pytest.mark.parametrize("facts", [{}, {"waiting": [{}], "told": {}}, {"waiting": [], "told": {"a": {"began_s": "x"}}}])
+@pytest.mark.parametrize(
+    "facts", [{}, {"waiting": [{}], "recent": {}}, {"waiting": [], "recent": {"a": {"began_s": "x"}}}]
+)
 def test_what_is_no_outbox_is_refused(facts: dict[str, Any]) -> None:
     with pytest.raises((KeyError, TypeError, ValueError)):
         NotificationQueue.of(facts, 1.0)

@@ -1,4 +1,4 @@
-"""The queue of parts, row by row: who is next, what was worked last, and what is said of each."""
+"""The queue of jobs, row by row: the next job, the last one, and the values of each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from polishd.model.states import Outcome
 from tests.unit.daemon.queue.test_queue import job
 from tests.unit.daemon.queue.test_queue_verdicts import ACCEPTED
 
-REJECTED = JobResult("rejected", "all its passes are used", "cycles_used")
+REJECTED = JobResult("rejected", "the job has used all its passes", "cycles_used")
 
 
 class Worked:
@@ -83,7 +83,7 @@ def test_a_job_from_its_place_to_its_end(worked: Worked) -> None:
     assert (facts["state"], facts["verdict"], facts["reason"], facts["fault"]) == (
         "rejected",
         "rejected",
-        "all its passes are used",
+        "the job has used all its passes",
         "cycles_used",
     )
     assert begun_s <= facts["begun_s"] <= facts["ended_s"] <= time.time()
@@ -176,7 +176,11 @@ def test_two_of_the_same_fault_stop_the_queue_and_two_different_do_not() -> None
     def stops(previous: str, tool: str = "") -> str:
         verdict = judge(Outcome.CYCLES_USED, torn=False, previous=previous, tool=tool)
         assert verdict is not None
-        assert (verdict.how, verdict.fault, verdict.reason) == ("rejected", "cycles_used", "all its passes are used")
+        assert (verdict.how, verdict.fault, verdict.reason) == (
+            "rejected",
+            "cycles_used",
+            "the job has used all its passes",
+        )
         return verdict.stops
 
     assert stops("") == stops("RemovalCheckStop") == ""

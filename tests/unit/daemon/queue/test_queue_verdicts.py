@@ -1,4 +1,4 @@
-"""What each ending of a job leads to, for its part and for the queue."""
+"""Result of each end of a job, for its part and for the queue."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ACCEPTED = JobResult("accepted", "the part is in tolerance", "")
         (RemovalCheckStop("x"), False, "set aside", "instrument or alignment is wrong"),
         (SafetyStop("x"), True, "set aside", ""),
         (LinkError("x"), True, "set aside", ""),
-        (SafetyStop("x"), False, "set aside", "a person's to judge"),
+        (SafetyStop("x"), False, "set aside", "an operator has to decide"),
     ],
 )
 def test_each_ending_has_its_verdict(end: Outcome | PolishdError, torn: bool, how: str, stops: str) -> None:

@@ -1,4 +1,4 @@
-"""Parts that a shop gave: in the cell's own queue, begun once the shop has said that they may, and given back."""
+"""Parts from a shop: in the cell's queue, begun after the shop confirms, and returned."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def verdicts(queue: Queue) -> dict[str, str]:
 
 
 async def stopped(cell: Hall) -> None:
-    """By a person; who asks is answered at the very end, which is not ours."""
+    """Stop as an operator. The answer comes at the very end, after this test."""
     asked = asyncio.ensure_future(cell.order("stop"))
     await cell.task
     asked.cancel()
@@ -68,7 +68,7 @@ async def test_a_part_of_the_shop_begins_once_the_shop_has_said_that_it_may(hall
     await turns()
     assert not cell.task.done(), "the queue is not empty: it waits for the shop's word"
     assert cell.polished == []
-    assert "these are ours: lens" in (await cell.daemon.status())["shop"]
+    assert "not confirmed since this start: lens" in (await cell.daemon.status())["shop"]
     await cell.daemon.handlers["shop_assignments"](stands=["c1"])
     await cell.until("changing")
     await cell.order("resume")
@@ -95,7 +95,7 @@ async def test_what_the_shop_wants_back_or_has_given_away_is_taken_out_while_it_
     for name in ("a", "b", "c"):
         given(cell.queue, name, f"claim {name}")
     await cell.start(until_empty=True)
-    await cell.daemon.handlers["shop_assignments"](back=["claim a"], lost=["claim b", "of nobody"])
+    await cell.daemon.handlers["shop_assignments"](back=["claim a"], lost=["claim b", "of no job"])
     assert verdicts(cell.queue) == {"a": "removed", "b": "removed", "c": "waiting"}
     assert [entry.reason for entry in cell.queue.entries()][:2] == [BACK, LOST]
     await cell.daemon.handlers["shop_assignments"](stands=["claim b"], lost=["claim c"])
@@ -165,11 +165,11 @@ async def test_what_is_offered_is_an_event_of_the_journal(hall: Callable[..., Ha
     cell = hall()
     await cell.start()
     assert await cell.daemon.handlers["shop_rates"](offers=[OFFER]) == {"offers": 1}
-    assert cell.told[-1] == ShopRateReceived(**OFFER)  # type: ignore[arg-type]
+    assert cell.published[-1] == ShopRateReceived(**OFFER)  # type: ignore[arg-type]
     rows = cell.journal.store.read("SELECT data FROM event WHERE name = 'shop_rate_received'")
     assert [json.loads(data) for (data,) in rows] == [OFFER]
     wrong: list[Any] = [{}, {**OFFER, "rate": "1"}, {**OFFER, "more": 1}, "x"]
     for one in wrong:
-        with pytest.raises(ConfigError, match="an offer has recipe, cell"):
+        with pytest.raises(ConfigError, match="an offer must have the fields recipe, cell"):
             await cell.daemon.handlers["shop_rates"](offers=[one])
     await stopped(cell)

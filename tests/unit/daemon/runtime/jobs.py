@@ -1,4 +1,4 @@
-"""Functions for the compute worker: it imports them by name, so they stand in a module of their own."""
+"""Functions for the compute worker, in a separate module because the worker imports them by name."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def burn_on() -> None:
 
 
 def threads_burn_on() -> None:
-    """All but the thread that was asked."""
+    """All threads but the calling one."""
     for _ in range(2):
         threading.Thread(target=burn_on, daemon=True).start()
     forever()

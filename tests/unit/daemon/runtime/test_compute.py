@@ -306,7 +306,7 @@ def test_worker_does_not_outlive_a_killed_daemon() -> None:
 
 
 def _too_much() -> None:
-    """Under a limit of its own, as a control group or a small computer sets one."""
+    """With a memory limit, such as that of a control group or a small computer."""
     with Path("/proc/self/statm").open() as file:
         held = int(file.read().split()[0]) * resource.getpagesize()
     before = resource.getrlimit(resource.RLIMIT_AS)

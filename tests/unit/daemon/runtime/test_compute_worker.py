@@ -90,7 +90,7 @@ def test_our_error_of_a_call() -> None:
 
 
 def test_a_function_that_is_gone_is_an_error_of_the_call() -> None:
-    """The worker may not be able to import what the daemon could."""
+    """The worker may be unable to import a module that the daemon has."""
     kind, error = answer_to(b"cno_such_module\nfunction\n.")
     assert kind == "error"
     assert str(error).startswith("a call failed: ModuleNotFoundError: ")

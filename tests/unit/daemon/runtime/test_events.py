@@ -1,4 +1,4 @@
-"""The event bus and the log: everybody is told, nobody holds it up."""
+"""Event bus and log: each event reaches all receivers, and no receiver blocks it."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ async def test_all_are_told_in_order() -> None:
 
 async def test_a_busy_plugin_holds_up_nothing() -> None:
     entered, release = threading.Event(), threading.Event()
-    told: list[int] = []
+    received: list[int] = []
 
     def busy(event: Event) -> None:
         entered.set()
         assert release.wait(30)
-        told.append(event.facts()["data"]["block"])
+        received.append(event.facts()["data"]["block"])
 
     bus = EventBus(busy)
     bus.publish(PassProgressed(block=1))
     assert entered.wait(30)
     bus.publish(PassProgressed(block=2))  # returns although the plugin is busy
-    assert told == []
+    assert received == []
     release.set()
     await bus.close()
-    assert told == [1, 2]
+    assert received == [1, 2]
 
 
 async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture) -> None:
@@ -61,23 +61,23 @@ async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture)
     bus = EventBus(hangs)
     bus.publish(PassProgressed(block=1))
     await bus.close(within_s=0.05)
-    assert "still busy" in caplog.text
+    assert "still processes an event" in caplog.text
     release.set()
     await bus.close()
 
 
 async def test_a_raising_listener_is_logged_and_told_again(caplog: pytest.LogCaptureFixture) -> None:
-    told: list[int] = []
+    received: list[int] = []
 
     def raises(event: Event) -> None:
-        told.append(event.facts()["data"]["block"])
+        received.append(event.facts()["data"]["block"])
         raise RuntimeError("oh")
 
     bus = EventBus(raises)
     bus.publish(PassProgressed(block=1))
     bus.publish(PassProgressed(block=2))
     await bus.close()
-    assert told == [1, 2]
+    assert received == [1, 2]
     assert caplog.text.count("RuntimeError: oh") == 2
 
 
@@ -123,7 +123,7 @@ async def test_subscription_waits_for_what_comes() -> None:
 
 
 async def test_a_line_of_one_cell_is_in_no_others_log(tmp_path: Path) -> None:
-    """Whoever logs it: a task, a thread of one, a plugin that hears of an event."""
+    """From a task, from a thread of a task, and from a plugin that receives an event."""
     logger = logging.getLogger("polishd.somewhere")
     ready = asyncio.Barrier(2)
 

@@ -1,4 +1,4 @@
-"""Held or ended: what a person can mend waits for a person, and whichever way it ends, the words agree with it."""
+"""Held or ended: a correctable error waits for an operator, and each record agrees with the end."""
 
 from __future__ import annotations
 
@@ -96,9 +96,9 @@ async def test_what_a_person_can_mend_holds_and_resume_goes_on(bench: Bench, err
         assert bench.moved() == []
         assert (await running.daemon.handlers["resume"]())["state"] == "polishing"
         assert await running.outcome() is Outcome.IN_TOLERANCE
-    held = next(event for event in running.told if event.name == "cell_held")
+    held = next(event for event in running.published if event.name == "cell_held")
     assert held.data == {"error": str(error), "kind": type(error).__name__}
-    state = next(event for event in running.told if event.data.get("state") == "held")
+    state = next(event for event in running.published if event.data.get("state") == "held")
     assert (state.data["tool_off"], state.data["robot_at_rest"]) == ("yes", "yes")
     assert "polishd resume CELL.toml" in state.data["next"]
 
@@ -127,7 +127,7 @@ async def test_a_link_that_was_lost_is_opened_again_before_anybody_measures(benc
         maps = len(bench.fake.of("next_map"))
         with pytest.raises(DeviceRefused, match="resume is refused, the cell stays held: LinkError: spindle: gone"):
             await running.daemon.handlers["resume"]()
-        assert len(bench.fake.of("next_map")) == maps, "nobody measures for a cell that cannot polish"
+        assert len(bench.fake.of("next_map")) == maps, "no measurement for a cell that cannot polish"
         bench.fake.metrology.acts.before.clear()
         spindle.fails.clear()
         await running.daemon.handlers["resume"]()
@@ -234,13 +234,13 @@ def test_the_table_of_what_holds_and_what_ends_is_the_code() -> None:
     """docs/cycle.md beside the tree of errors: each one has its line, and no other."""
     page = (Path(__file__).parents[4] / "docs" / "cycle.md").read_text()
     rows = re.findall(r"^\| (`\w+.*?) \| (\d+) \| (held|ended) \|", page, re.MULTILINE)
-    told = {name: (int(code), end) for names, code, end in rows for name in re.findall(r"`(\w+)`", names)}
+    documented = {name: (int(code), end) for names, code, end in rows for name in re.findall(r"`(\w+)`", names)}
     tree = {
         name: (error.exit_code, "held" if error.mendable else "ended")
         for name, error in vars(model_errors).items()
         if isinstance(error, type) and issubclass(error, PolishdError)
     }
-    assert told == tree
+    assert documented == tree
 
 
 # words
@@ -289,10 +289,10 @@ async def test_a_device_that_did_not_confirm_is_named_when_no_daemon_runs_any_mo
     monkeypatch.setattr(app, "build_cell", deaf)
     summary = await stopped_in_a_pass(site)
     left = last_ending(site.config.state_dir)
-    for told in (summary, left):
-        assert (told["tool_off"], told["robot_at_rest"]) == ("not confirmed", "yes")
-        assert told["unsafe"] == ["actuator: no answer"]
-        assert told["run_dir"] == str(site.config.run_dir)
+    for record in (summary, left):
+        assert (record["tool_off"], record["robot_at_rest"]) == ("not confirmed", "yes")
+        assert record["unsafe"] == ["actuator: no answer"]
+        assert record["run_dir"] == str(site.config.run_dir)
     assert (left["state"], left["exit_code"]) == ("stopped", 1)
 
 
@@ -346,7 +346,7 @@ async def test_the_first_cause_survives_a_second_failed_start(site: Site, monkey
 
 
 def no_spindle(bench: Bench) -> None:
-    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: nobody answers")
+    bench.fake.spindle.acts.fails["open"] = LinkError("spindle: no answer")
 
 
 @pytest.mark.full
@@ -391,7 +391,7 @@ async def test_an_interrupted_pass_costs_none_of_max_cycles_and_is_marked(tmp_pa
             with pytest.raises(SafetyStop):
                 await running.outcome()
             (begun,) = figures_of(running.daemon.job)["cycles"]
-            assert begun["how"] == "interrupted", "though nobody has settled it yet"
+            assert begun["how"] == "interrupted", "though its end is not recorded yet"
     with open_journal(tmp_path) as journal:
         again = Bench(tmp_path, journal)
         again.surface = bench.surface

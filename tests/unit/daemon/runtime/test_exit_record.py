@@ -45,7 +45,7 @@ def test_second_daemon_is_refused_by_pid_and_crash_frees(tmp_path: Path) -> None
 def test_lock_is_given_back_and_its_folder_private(tmp_path: Path) -> None:
     state = tmp_path / "deep" / "state"
     for _ in range(2):
-        with locked(state), pytest.raises(ConfigError, match="stop it first"), locked(state):
+        with locked(state), pytest.raises(ConfigError, match="Stop it first"), locked(state):
             pytest.fail("two daemons")
     assert state.stat().st_mode & 0o777 == 0o700
     assert (state / "lock").read_text() == ""

@@ -1,4 +1,4 @@
-"""The lock of a state folder, whatever its file held before, and whatever the disk says."""
+"""Lock of a state folder, with any earlier content of its file, and with disk errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_it_is_its_owners_alone(tmp_path: Path) -> None:
 def test_one_that_says_nothing_of_itself_is_refused_all_the_same(tmp_path: Path) -> None:
     handle = os.open(tmp_path / LOCK_NAME, os.O_RDWR | os.O_CREAT)
     fcntl.flock(handle, fcntl.LOCK_EX)
-    said = f"{tmp_path}: another polishd runs this cell (pid unknown); stop it first (polishd stop)"
+    said = f"{tmp_path}: another polishd runs this cell (pid unknown). Stop it first (polishd stop)"
     with pytest.raises(ConfigError, match=re.escape(said)):
         locked(tmp_path).__enter__()
     os.close(handle)
@@ -46,7 +46,7 @@ def test_a_disk_that_takes_no_pid_is_told_and_nothing_stays_locked(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, call, full)
-    said = f"{tmp_path}: the state folder cannot be used: No space left on device; mend it, or change cell.state_dir"
+    said = f"{tmp_path}: the state folder cannot be used: No space left on device. Repair it, or set cell.state_dir"
     with pytest.raises(ConfigError, match=re.escape(said)):
         locked(tmp_path).__enter__()
     monkeypatch.undo()

@@ -1,4 +1,4 @@
-"""What is installed changes under a running process: it is told by name, and no worker of other versions computes."""
+"""Installed software that changes while a process runs: reported by name, and no worker of other versions computes."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def test_what_came_anew_disturbs_nobody(site: Path) -> None:
 def test_another_version_is_named(site: Path) -> None:
     before = installed_now()
     install(site, "2.0")
-    with pytest.raises(HostFault, match=r"gauge-plugin \(1\.0.* now 2\.0.*restart the daemon") as told:
+    with pytest.raises(HostFault, match=r"gauge-plugin \(1\.0.* now 2\.0.*Restart the daemon") as raised:
         require_same(before, installed_now())
-    assert "polishd (" not in str(told.value)
+    assert "polishd (" not in str(raised.value)
 
 
 def test_other_sources_of_the_same_version_are_named(site: Path) -> None:
@@ -81,7 +81,7 @@ async def test_a_worker_that_starts_again_proves_its_versions(site: Path) -> Non
         os.kill(pid, signal.SIGKILL)
         await asyncio.to_thread(os.waitid, os.P_PID, pid, os.WEXITED | os.WNOWAIT)
         for _ in range(2):  # and it is not forgotten
-            with pytest.raises(HostFault, match=r"gauge-plugin \(1\.0.*now 2\.0.*restart the daemon"):
+            with pytest.raises(HostFault, match=r"gauge-plugin \(1\.0.*now 2\.0.*Restart the daemon"):
                 await compute(os.getpid)
             assert compute.pid is None
         install(site, "1.0")

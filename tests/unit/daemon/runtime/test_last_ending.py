@@ -1,4 +1,4 @@
-"""What is kept for those who find no daemon: of any ending, on any disk, in any state of its file."""
+"""Record of the end for clients without a daemon: of any end, on any disk, in any state of its file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from polishd.model.events import CellHeld, DaemonFailed, Event, PlanWritten, Sta
 from polishd.model.states import Outcome
 from tests.unit.daemon.small import open_journal
 
-KILLED = "the daemon was killed, or its machine went down, while polishing"
+KILLED = "the daemon was killed, or its computer stopped, while polishing"
 NAMES = ("actuator", "robot")
 
 
@@ -28,7 +28,7 @@ def polishing() -> StateChanged:
 
 def test_where_no_daemon_ever_ran(tmp_path: Path) -> None:
     facts = last_ending(tmp_path)
-    assert (facts["state"], facts["reason"]) == ("unknown", f"no daemon has left word in {tmp_path}")
+    assert (facts["state"], facts["reason"]) == ("unknown", f"no daemon has left a record in {tmp_path}")
     assert (facts["tool_off"], facts["robot_at_rest"], facts["unsafe"]) == ("not asked", "not asked", [])
 
 
@@ -50,7 +50,10 @@ def test_a_daemon_that_is_killed_while_it_polishes_left_word_of_it(tmp_path: Pat
     facts = last_ending(tmp_path)
     assert (facts["state"], facts["reason"], facts["run_dir"]) == ("killed", KILLED, str(tmp_path / "run"))
     assert (facts["tool_off"], facts["robot_at_rest"]) == ("not confirmed", "not confirmed")
-    assert facts["unsafe"] == ["actuator: no daemon lived to ask it", "robot: no daemon lived to ask it"]
+    assert facts["unsafe"] == [
+        "actuator: state unknown, because the daemon was killed",
+        "robot: state unknown, because the daemon was killed",
+    ]
     assert facts["next"] == next_action("killed", queue=True) != next_action("killed", queue=False)
 
 
@@ -70,7 +73,7 @@ def test_an_ending_is_told_as_it_was(tmp_path: Path) -> None:
 
 
 def test_the_end_itself_and_other_events_leave_it_as_it_is(tmp_path: Path) -> None:
-    """The end is kept by whoever knows all of it."""
+    """The caller that knows all facts records the end."""
     keep = recording_exit(tmp_path, lambda: None)
     keep(polishing())
     before = (tmp_path / RECORD_NAME).read_bytes()
@@ -105,13 +108,13 @@ def test_a_disk_that_takes_no_more_keeps_nobody_from_the_end_and_no_older_word_s
     ],
 )
 def test_how_a_cell_stands(unsafe: tuple[str, ...] | None, tool_off: str, at_rest: str) -> None:
-    told: StateChanged = safety_of("held", "why", unsafe)
-    assert told.standing is not None
-    assert (told.state, told.reason) == ("held", "why")
-    assert (told.standing.tool_off, told.standing.robot_at_rest) == (tool_off, at_rest)
-    assert list(told.standing.unsafe) == list(unsafe or ())
-    assert told.standing.next == next_action("held", queue=False)
-    json.dumps(dict(told.data))
+    event: StateChanged = safety_of("held", "why", unsafe)
+    assert event.standing is not None
+    assert (event.state, event.reason) == ("held", "why")
+    assert (event.standing.tool_off, event.standing.robot_at_rest) == (tool_off, at_rest)
+    assert list(event.standing.unsafe) == list(unsafe or ())
+    assert event.standing.next == next_action("held", queue=False)
+    json.dumps(dict(event.data))
 
 
 # causes
@@ -128,15 +131,15 @@ def journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Journal
         yield found
 
 
-def told(journal: Journal, *events: Event) -> list[str]:
+def causes_after(journal: Journal, *events: Event) -> list[str]:
     for event in events:
         journal.record_event(event)
     return [str(cause) for cause in causes(journal, None)]
 
 
 def test_what_held_a_job_stands_in_the_order_of_time(journal: Journal) -> None:
-    assert told(journal) == []
-    assert told(journal, HOT, PlanWritten(run_dir="x"), GONE, HOT) == [
+    assert causes_after(journal) == []
+    assert causes_after(journal, HOT, PlanWritten(run_dir="x"), GONE, HOT) == [
         "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
         "2001-09-09T01:46:42+00:00 held: LinkError: gone",
         "2001-09-09T01:46:43+00:00 held: DeviceFault: hot",
@@ -144,13 +147,13 @@ def test_what_held_a_job_stands_in_the_order_of_time(journal: Journal) -> None:
 
 
 def test_held_over_it_and_then_stopped_is_one_cause_from_when_it_was_held(journal: Journal) -> None:
-    (cause,) = told(journal, HOT, DaemonFailed(error="hot", kind="DeviceFault"))
+    (cause,) = causes_after(journal, HOT, DaemonFailed(error="hot", kind="DeviceFault"))
     assert cause == "2001-09-09T01:46:40+00:00 ended: DeviceFault: hot"
 
 
 @pytest.mark.parametrize(("error", "kind"), [("hot", "LinkError"), ("cold", "DeviceFault")])
 def test_another_end_is_another_cause(journal: Journal, error: str, kind: str) -> None:
-    assert told(journal, HOT, DaemonFailed(error=error, kind=kind)) == [
+    assert causes_after(journal, HOT, DaemonFailed(error=error, kind=kind)) == [
         "2001-09-09T01:46:40+00:00 held: DeviceFault: hot",
         f"2001-09-09T01:46:41+00:00 ended: {kind}: {error}",
     ]
@@ -158,7 +161,7 @@ def test_another_end_is_another_cause(journal: Journal, error: str, kind: str) -
 
 def test_an_end_without_a_hold_is_a_cause_and_so_is_a_hold_after_it(journal: Journal) -> None:
     failed = DaemonFailed(error="hot", kind="DeviceFault")
-    assert [cause.split()[1] for cause in told(journal, failed, HOT)] == ["ended:", "held:"]
+    assert [cause.split()[1] for cause in causes_after(journal, failed, HOT)] == ["ended:", "held:"]
 
 
 def test_of_a_lost_journal_the_failure_is_all_that_is_known(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +177,7 @@ def test_of_a_lost_journal_the_failure_is_all_that_is_known(journal: Journal, mo
 
 def test_words_for_people_name_their_own_cell() -> None:
     assert for_cell("polishd run CELL.toml", Path("/my cells/a.toml")) == "polishd run '/my cells/a.toml'"
-    assert "polishd run CELL.toml --queue;" in next_action("failed", queue=True)
+    assert "polishd run CELL.toml --queue starts" in next_action("failed", queue=True)
     assert next_action("no such state", queue=True) == ""
 
 

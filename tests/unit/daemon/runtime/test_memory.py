@@ -1,4 +1,4 @@
-"""Out of memory is found in what led to an error, told in words, and has a reserve."""
+"""Out of memory: found in the causes of an error, reported with a message, and handled with a reserve."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def caused() -> LinkError:
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread"), caused()])
 def test_missing_memory_is_told_before_what_follows_from_it(error: Exception) -> None:
     memory.RESERVE.take()
-    told = root_cause(ExceptionGroup("", [SafetyStop("late"), ExceptionGroup("", [LinkError("gone"), error])]))
-    assert isinstance(told, HostFault)
-    assert "run out of memory" in str(told)
-    assert told.__cause__ is error
+    fault = root_cause(ExceptionGroup("", [SafetyStop("late"), ExceptionGroup("", [LinkError("gone"), error])]))
+    assert isinstance(fault, HostFault)
+    assert "run out of memory" in str(fault)
+    assert fault.__cause__ is error
     assert memory.RESERVE.kept_bytes == 0
 
 
@@ -75,7 +75,7 @@ def test_a_journal_without_memory_is_lost_and_says_so(tmp_path: Path) -> None:
 
     store = Store.open(tmp_path / "journal.sqlite", connect)
     kept[-1].out = True
-    said = r"journal lost: .*the daemon has run out of memory; .* give it more memory"
+    said = r"journal lost: .*the daemon has run out of memory; .* Increase its memory limit"
     with pytest.raises(SafetyStop, match=said):
         store.write(("INSERT INTO nothing VALUES (1)", ()))
     assert not kept[-1].in_transaction

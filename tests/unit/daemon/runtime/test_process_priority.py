@@ -1,4 +1,4 @@
-"""The loop goes first where that is allowed, alone; computing goes last; everything is given back."""
+"""Priority: the loop first where allowed, the solver last; all settings are restored."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ NICE = os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def ran(code: str) -> Any:
-    """What a process of its own printed: this one's priority is nobody's to change."""
+    """Output of another process, so that this one keeps its priority."""
     return json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
 
 

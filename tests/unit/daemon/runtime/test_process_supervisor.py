@@ -1,4 +1,4 @@
-"""What a supervisor hears, over a socket of the test's own, and when it does not."""
+"""Reports to a supervisor over a socket of the test, and without one."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def systemd(request: pytest.FixtureRequest) -> Iterator[Systemd]:
 
 def test_ready_is_said_once_when_the_last_cell_has_spoken(systemd: Systemd) -> None:
     supervisor = SystemdNotifier(2, systemd.environment)
-    left, right = supervisor.hears("left"), supervisor.hears("right")
+    left, right = supervisor.status_sink("left"), supervisor.status_sink("right")
     left(CellOpened(devices={}))
     left(StateChanged(state="starting", reason="", standing=NOT_ASKED))
     left(StateChanged(state="held", reason="late\nmap", standing=NOT_ASKED))
@@ -88,12 +88,12 @@ async def test_the_watchdog_is_fed_only_while_all_is_written(systemd: Systemd) -
 
 @pytest.mark.parametrize("environment", [{}, {"WATCHDOG_USEC": "40000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "x"}])
 async def test_where_nobody_watches_nothing_is_fed(environment: dict[str, str]) -> None:
-    await SystemdNotifier(1, environment).feed(lambda _: pytest.fail("nobody asked"))
+    await SystemdNotifier(1, environment).feed(lambda _: pytest.fail("called without a watchdog"))
 
 
 def test_a_supervisor_that_is_gone_is_logged_and_keeps_nobody(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     SystemdNotifier(1, {"NOTIFY_SOCKET": str(tmp_path / "gone")}).stopping()
-    assert "the supervisor of this process cannot be told STOPPING=1" in caplog.text
+    assert "STOPPING=1 cannot be sent to the supervisor of this process" in caplog.text
 
 
 @pytest.mark.full
@@ -101,7 +101,7 @@ async def test_a_run_tells_its_supervisor_what_it_does(
     site: Site, systemd: Systemd, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in (systemd.environment | {"WATCHDOG_USEC": "60000000"}).items():
-        monkeypatch.setenv(name, value)  # it is fed once: what nobody reads fills the socket
+        monkeypatch.setenv(name, value)  # it is fed once: unread messages fill the socket
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))
         await site.in_contact()

@@ -60,7 +60,7 @@ async def bus() -> AsyncIterator[EventBus]:
 async def daemon(tmp_path: Path, bus: EventBus, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Path]:
     async with serving(tmp_path, HANDLERS, bus):
         yield tmp_path
-        monkeypatch.setattr(service, "WRITE_S", 0.0)  # nobody waits for a verb that never answers
+        monkeypatch.setattr(service, "WRITE_S", 0.0)  # no wait for a handler that never returns
 
 
 async def until_subscribed(bus: EventBus, count: int = 1) -> None:
@@ -162,7 +162,7 @@ async def test_a_subscriber_that_sends_lines_is_answered_and_goes_on_to_hear(dae
     for line in (b"what?", b'{"verb": "status"}', b"\xff" * (2 * LINE_BYTES)):
         writer.write(line + b"\n")
         refused = json.loads(await reader.readline())
-        assert refused == {"ok": False, "error": "this connection is for events: ask on another one"}
+        assert refused == {"ok": False, "error": "this connection is for events only. Send requests on another one"}
         bus.publish(CellHeld(error="a scratch", kind="LinkError"))
         assert json.loads(await reader.readline())["event"]["name"] == "cell_held"
     writer.close()
@@ -247,7 +247,7 @@ async def test_daemons_end_ends_sessions_and_removes_the_socket(
         idle, writer = await asyncio.open_unix_connection(tmp_path / "polishd.sock")
         assert (await ask(tmp_path, "status"))["ok"]
         monkeypatch.setattr(service, "WRITE_S", 0.1)
-    with pytest.raises(LinkError, match="hung up before it answered"):
+    with pytest.raises(LinkError, match="closed the connection before it answered"):
         await waiting
     assert await idle.read() == b""
     writer.close()
@@ -259,10 +259,10 @@ def test_no_daemon_is_told(tmp_path: Path, leftover: bool) -> None:
     if leftover:
         with socket.socket(socket.AF_UNIX) as dead:
             dead.bind(str(tmp_path / "polishd.sock"))
-    told = rf"no daemon is running for {tmp_path} \(.*\); start it with: polishd run"
-    with pytest.raises(LinkError, match=told):
+    message = rf"no daemon is running for {tmp_path} \(.*\)\. Start it with: polishd run"
+    with pytest.raises(LinkError, match=message):
         request(tmp_path, "status")
-    with pytest.raises(LinkError, match=told):
+    with pytest.raises(LinkError, match=message):
         next(subscribe(tmp_path))
 
 
@@ -290,17 +290,21 @@ async def test_deep_folders(tmp_path: Path, bus: EventBus) -> None:
 
 
 @pytest.mark.parametrize(
-    ("answer", "error", "told"),
-    [(b"", LinkError, "hung up"), (b"what?\n", ProtocolError, "is not JSON"), (b"3\n", ProtocolError, "is no object")],
+    ("answer", "error", "message"),
+    [
+        (b"", LinkError, "closed the connection"),
+        (b"what?\n", ProtocolError, "is not JSON"),
+        (b"3\n", ProtocolError, "is not an object"),
+    ],
 )
-async def test_strange_daemons(tmp_path: Path, answer: bytes, error: type[Exception], told: str) -> None:
+async def test_strange_daemons(tmp_path: Path, answer: bytes, error: type[Exception], message: str) -> None:
     async def strange(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.readline()
         writer.write(answer)
         writer.close()
 
     server = await asyncio.start_unix_server(strange, tmp_path / "polishd.sock")
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         await ask(tmp_path, "status")
     server.close()
     await server.wait_closed()

@@ -71,7 +71,7 @@ def test_limits_that_are_none_and_objects_that_makers_leave_out(written: Callabl
 
 def test_what_is_missing_is_told_with_its_place(written: Callable[[str | bytes], Path]) -> None:
     path = written(TEXT.replace("[60FF]", "[5FFF]"))
-    with pytest.raises(ConfigError, match=r"drive.eds: it has no number 60FFh"):
+    with pytest.raises(ConfigError, match=r"drive.eds: object 60FFh is missing"):
         read_dictionary(path, 5).require(read=[], write=[protocol.TARGET_VELOCITY])
     line = TEXT.splitlines().index("[6077]") + 1
     with pytest.raises(ConfigError, match=rf"drive.eds:{line}: 6077h \(Torque actual value\) cannot be written"):
@@ -84,7 +84,7 @@ def test_what_is_missing_is_told_with_its_place(written: Callable[[str | bytes],
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[DeviceInfo", "has no section"),
+        ("[DeviceInfo", "DeviceInfo"),
         ("[DeviceInfo]\nno key", "parsing errors"),
         ("[DeviceInfo]\n[6040]\nParameterName=Controlword\n", "DataType"),
         (TEXT.replace("DataType=0x0006", "DataType=six"), "six"),
@@ -97,7 +97,7 @@ def test_broken_files_are_config_errors_in_one_line(
 ) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         read_dictionary(written(text), 5)
-    assert str(caught.value).startswith(f"{written(text)}: is no EDS file")
+    assert str(caught.value).startswith(f"{written(text)}: is not an EDS file")
     assert "\n" not in str(caught.value)
 
 
@@ -125,8 +125,8 @@ def test_damaged_files_are_read_or_refused(tmp_path_factory: pytest.TempPathFact
 
 
 def test_codes_have_words() -> None:
-    assert emergency_text(0x8130) == "watchdog ran out: no heartbeat of the controller"
+    assert emergency_text(0x8130) == "watchdog: no heartbeat of the controller"
     assert emergency_text(0x2310) == "current"
     assert emergency_text(0x0001) != ""
     assert abort_text(0x06090030) == "value range of parameter exceeded"
-    assert abort_text(1) == "no reason that cia 301 knows"
+    assert abort_text(1) == "unknown reason"

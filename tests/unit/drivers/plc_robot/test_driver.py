@@ -87,7 +87,7 @@ async def test_a_feed_hold_at_the_controller_is_a_fault_at_once(rig: tuple[FakeP
 async def test_a_reader_that_runs_ahead_is_found_out_before_contact(tmp_path: Path) -> None:
     fake = FakePlc(tmp_path, speed=SLOW, read_ahead_lines=2)
     async with direct(fake) as robot:
-        with pytest.raises(DeviceFault, match="not the block that it executes"):
+        with pytest.raises(DeviceFault, match="not the executed block"):
             await in_contact(robot, plan())
         await robot.make_safe()
         assert fake.stands
@@ -133,10 +133,10 @@ async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc,
     fake, robot = rig
     await in_contact(robot, plan())
     fake.plc.boot_id = "boot-2"
-    with pytest.raises(LinkError, match="started anew"):
+    with pytest.raises(LinkError, match="has restarted"):
         await take(robot, 60)
     await robot.open()
-    assert (await robot.progress()).detail == "the controller was started anew"
+    assert (await robot.progress()).detail == "the controller has restarted"
     with pytest.raises(DeviceRefused, match="is over"):
         await robot.resume()
 
@@ -156,7 +156,7 @@ async def test_another_feed_than_the_programs_is_refused(rig: tuple[FakePlc, Plc
     fake, robot = rig
     fake.override = percent
     await robot.open()
-    with pytest.raises(DeviceRefused, match="feed override stands at"):
+    with pytest.raises(DeviceRefused, match="feed override is"):
         await robot.prepare(plan())
 
 

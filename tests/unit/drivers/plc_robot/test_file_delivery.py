@@ -104,12 +104,12 @@ async def test_ftp_takes_the_place_of_the_file_before(root: Path, renames_over: 
 
 async def test_ftp_says_who_refuses_and_what(root: Path) -> None:
     async with ftp_server(root) as port:
-        with pytest.raises(DeviceRefused, match=r"ftp://robot@127\.0\.0\.1.*a\.nc cannot be put there") as refused:
+        with pytest.raises(DeviceRefused, match=r"ftp://robot@127\.0\.0\.1.*a\.nc cannot be delivered") as refused:
             await Ftp(place(port, "0ther-one")).put("a.nc", TEXT)
         assert "0ther-one" not in str(refused.value)
-        with pytest.raises(DeviceRefused, match="cannot be put there"):
+        with pytest.raises(DeviceRefused, match="cannot be delivered"):
             await Ftp(place(port, folder="none")).put("a.nc", TEXT)
-    with pytest.raises(DeviceRefused, match="cannot be put there"):
+    with pytest.raises(DeviceRefused, match="cannot be delivered"):
         await Ftp(place(port)).put("a.nc", TEXT)
     assert found(root) == {}
 

@@ -107,8 +107,8 @@ def test_words_come_back_in_either_order(one: tuple[str, int | float], little: b
         ("holding", "int16", "write holding:40"),
         ("register:3", "int16", "write holding:40"),
         ("holding:70000", "int16", "write holding:40"),
-        ("coil:3", "int16", "no place among the coils"),
-        ("input:3", "string", "no place among the inputs"),
+        ("coil:3", "int16", "does not fit in coils"),
+        ("input:3", "string", "does not fit in inputs"),
     ],
 )
 def test_addresses_that_are_none(address: str, kind: str, why: str) -> None:

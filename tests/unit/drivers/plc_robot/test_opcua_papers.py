@@ -99,7 +99,7 @@ async def test_it_speaks_to_a_server_that_takes_nothing_in_the_clear(url: str, f
 @pytest.mark.full
 async def test_another_server_is_not_spoken_to(url: str, folder: Path) -> None:
     """It cannot read what is meant for another, and keeps silent."""
-    with pytest.raises(LinkError, match=r"cannot be opened with these certificates: does each trust the other's\?"):
+    with pytest.raises(LinkError, match=r"cannot be opened with these certificates"):
         await client(url, folder, theirs="other", silence_s=2.0).open()
 
 
@@ -120,7 +120,7 @@ async def test_a_file_that_is_no_certificate_is_told(url: str, folder: Path) -> 
     ("keys", "says"),
     [
         ({"certificate": "polishd.pem"}, "private_key is missing; encrypted opcua needs certificate, private_key"),
-        ({"certificate": "gone.pem", "private_key": "polishd.key"}, "certificate 'gone.pem' is no file"),
+        ({"certificate": "gone.pem", "private_key": "polishd.key"}, "certificate 'gone.pem' is not a file"),
     ],
 )
 def test_papers_that_are_not_complete_are_refused_before_anything_is_opened(

@@ -160,7 +160,7 @@ def test_it_stands_at_a_pause_of_the_file_once_two_reports_say_so() -> None:
     ("seen", "why"),
     [
         ({"feed_held": True}, "feed is held"),
-        ({"override": 0.0}, "override stands at 0 %"),
+        ({"override": 0.0}, "override is 0 %"),
     ],
 )
 def test_a_feed_hold_is_told_with_the_report_that_shows_it(seen: dict[str, object], why: str) -> None:
@@ -238,7 +238,7 @@ def test_a_line_that_is_read_ahead_or_another_file_is_found_out(lag: int, second
     watch = watch_of(5, stops=(2,), proof_s=DWELLS)
     through(watch, lag, seconds)
     assert watch.state == "fault"
-    assert "not the block that it executes" in watch.detail
+    assert "not the executed block" in watch.detail
     assert len(watch) < 2, "no landing follows"
 
 

@@ -95,7 +95,7 @@ async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
     assert [one.values for one in found.passed] == [None, read.values, {"hold": False, "heartbeat": 41}, None]
     assert found.passed[1].clock_s == read.time_s
     assert {(one.role, one.link) for one in found.passed} == {("robot", LINK)}
-    with pytest.raises(ConfigError, match="robot is recorded as values of variables; replayed_controller plays them"):
+    with pytest.raises(ConfigError, match="robot is recorded as values of variables"):
         async with replayed(path, "robot"):
             pass
     async with replayed_controller(path, "robot") as plc:

@@ -178,5 +178,5 @@ async def test_find_tells_the_settings_at_which_it_answers(bench: Bench) -> None
     assert len(messages) == 3
     ((where, says),) = found
     assert where.endswith("port?baud=9600&parity=none&stop_bits=1, unit 1")
-    assert says == "answers as profile 'delta_ms300' says"
+    assert says == "answers as in profile 'delta_ms300'"
     assert not any(request[1] in {5, 6, 15, 16} for request in bench.peer.requests), "it reads only"

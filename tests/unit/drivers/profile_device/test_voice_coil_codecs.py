@@ -20,7 +20,7 @@ from tests.vectors import vectors
 MODBUS, LINES = shipped("voice_coil_modbus"), shipped("voice_coil_serial")
 CONTACT = ActuatorReading("contact", 11.98, 12.0, 5.0, 0, "")
 (LIVE,) = codec.blocks(MODBUS.registers, MODBUS.polled, 125)
-(IDENTITY,) = codec.blocks(MODBUS.registers, MODBUS.identity_values, 125)
+(IDENTITY,) = codec.blocks(MODBUS.registers, MODBUS.identifying, 125)
 
 
 def reading(words: Sequence[int]) -> ActuatorReading:

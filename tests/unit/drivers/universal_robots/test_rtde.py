@@ -57,7 +57,7 @@ def test_a_package_of_another_length_is_never_taken_for_values(cut: int) -> None
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_no_value(odd: float) -> None:
-    with pytest.raises(ProtocolError, match="no number"):
+    with pytest.raises(ProtocolError, match="not a number"):
         RECIPE.unpack(b"\1" + struct.pack(">d", odd) + VALUES[8:])
 
 
@@ -95,10 +95,10 @@ def test_a_length_that_cannot_be_ends_the_link() -> None:
     [
         (b"\0DOUBLE,IN_USE", DeviceBusy, "b is written by another"),
         (b"\0NOT_FOUND,DOUBLE", DeviceRefused, "has no a"),
-        (b"\0DOUBLE,DOUBLE", DeviceRefused, "takes no setup"),
-        (b"\1DOUBLE", ProtocolError, "2 inputs were asked for, 1"),
+        (b"\0DOUBLE,DOUBLE", DeviceRefused, "refuses a setup"),
+        (b"\1DOUBLE", ProtocolError, "2 inputs were requested, 1"),
         (b"\1DOUBLE,STRING", ProtocolError, "unknown type"),
-        (b"", ProtocolError, "2 inputs were asked for, 1"),
+        (b"", ProtocolError, "2 inputs were requested, 1"),
     ],
 )
 def test_a_setup_that_fails_says_why(answer: bytes, error: type[Exception], said: str) -> None:

@@ -82,8 +82,8 @@ def test_a_complaint_names_the_block() -> None:
     found = script()
     at = lines(found).index(MOVE.decode().strip())
     assert found.names(at + 1) == "block 7"
-    assert found.names(1) == "line 1 of what polishd adds"
-    assert found.names(10_000) == "line 10000 of what polishd adds"
+    assert found.names(1) == "line 1, which polishd adds"
+    assert found.names(10_000) == "line 10000, which polishd adds"
 
 
 def test_an_arc_is_not_gone_on_with_from_within() -> None:

@@ -45,7 +45,7 @@ async def test_a_question_has_its_answer() -> None:
 
 
 async def test_another_server_is_no_dashboard() -> None:
-    with pytest.raises(ProtocolError, match="no dashboard"):
+    with pytest.raises(ProtocolError, match="not a dashboard"):
         await asked(b"220 ftp ready\n", b"true\n")
 
 

@@ -152,7 +152,7 @@ def stated(
     [pytest.param(8, marks=pytest.mark.full), pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])],
 )
 def test_what_is_stated_of_a_touch_holds(machines: int) -> None:
-    """Of machines as the priors expect them, with all that a cell's learner fits: the figures of docs/beliefs.md."""
+    """Of machines as the priors expect them, with all that a cell's learner fits: the figures of docs/estimates.md."""
     held, touches = stated(machines, knowing(f"{EVERYTHING} power"), of_the_prior)
     print(f"{machines} machines of {touches}\n{held}")
     assert touches < 2.5 * machines, "most machines need no person"

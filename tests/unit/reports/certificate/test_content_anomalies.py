@@ -46,12 +46,12 @@ def test_an_error_that_held_and_then_ended_the_daemon_is_one() -> None:
 
 def test_a_hold_that_a_person_ordered() -> None:
     found = anomalies(
-        events.CommandReceived(order="hold", reason="lunch"), state("held", "held by order: lunch"),
+        events.CommandReceived(order="hold", reason="lunch"), state("held", "held by command: lunch"),
         events.CommandReceived(order="resume", reason=""), state("polishing"),
     )  # fmt: skip
     order, hold = found
     assert order[:2] == ("command", "hold was ordered: lunch")
-    assert hold[:2] == ("hold", "held by order: lunch")
+    assert hold[:2] == ("hold", "held by command: lunch")
     assert hold[2] == "resume was ordered, 2025-10-09 08:53:40"
 
 

@@ -136,7 +136,7 @@ def test_the_coil_spikes_and_its_torque_shows_it() -> None:
 @pytest.mark.parametrize(
     ("option", "ends"), [(0, stage.ENABLED), (1, stage.FAULT), (2, stage.DISABLED), (3, stage.DISABLED)]
 )
-def test_what_it_does_alone_is_what_it_was_told(option: int, ends: int) -> None:
+def test_its_reaction_to_silence_is_the_configured_one(option: int, ends: int) -> None:
     bench, motor = spindle()
     bench.watch(option)
     bench.until(0.1)
@@ -177,7 +177,7 @@ def test_a_controller_that_comes_back_ends_the_emergency_but_not_the_fault() -> 
     assert (bench.node.power.state, bench.node.objects[0x1001]) == (stage.DISABLED, 0)
 
 
-def test_a_rebooted_drive_has_forgotten_what_it_was_told() -> None:
+def test_a_rebooted_drive_has_lost_its_settings() -> None:
     bench, motor = spindle()
     bench.watch(3)
     bench.enable(3)
@@ -198,7 +198,7 @@ def test_a_rebooted_drive_has_forgotten_what_it_was_told() -> None:
     assert motor.rpm == 0.0
 
 
-def test_off_the_bus_it_is_deaf_and_dumb_and_tells_of_it_afterwards() -> None:
+def test_off_the_bus_it_neither_receives_nor_sends_and_reports_it_afterwards() -> None:
     bench, _ = spindle()
     bench.until(0.1)
     bench.node.bus_off(0.5)

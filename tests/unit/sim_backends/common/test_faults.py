@@ -48,7 +48,7 @@ def test_without_faults_frames_pass() -> None:
     assert Bench().at(0.0) == FrameAction(b"abcd")
 
 
-def test_rates_are_kept_and_each_blow_is_told() -> None:
+def test_rates_are_kept_and_each_fault_is_logged() -> None:
     bench = Bench(
         {"what": "drop", "rate": 0.2}, {"what": "garble", "rate": 0.1}, {"what": "delay", "rate": 0.3, "by_s": 1.0}
     )
@@ -184,7 +184,7 @@ def test_a_forged_reply_is_sound_in_its_protocol(case: str) -> None:
         assert bench.reported == ([("fault_acts", what)] if forged else []), "it waits for one that it can be made of"
 
 
-def test_an_order_that_was_done_is_said_to_be_refused() -> None:
+def test_an_executed_command_is_reported_as_refused() -> None:
     forged = PROTOCOLS["robot_link"].exception(ACK)  # type: ignore[misc]
     ((kind, payload),) = framing.Splitter().feed(forged)
     assert (kind, json.loads(payload)["of"]) == (framing.NAK, framing.RESUME)
@@ -319,7 +319,7 @@ SENSELESS = {
     'device = "actuator"\nwhat = "drift"\nat_s = 1.0': "1: fault.drift_n_s: drift needs it",
     'device = "robot"\nwhat = "exception"\nrate = 0.1\ndirection = "to_device"': "5: fault.direction: exception",
     'device = "robot"\nlink = "rtde"\nwhat = "reboot"\nat_s = 1.0': "3: fault.link: means nothing for reboot",
-    'device = "robot"\nlink = "rtde"\nwhat = "hang"\nat_s = 1.0': "3: fault.link: this robot has no links with names",
+    'device = "robot"\nlink = "rtde"\nwhat = "hang"\nat_s = 1.0': "3: fault.link: this robot has no named links",
     'device = "robot"\nwhat = "freeze"\nat_s = 1.0': "3: fault.what: the robot cannot freeze; it can override",
     'device = "robot"\nwhat = "override"\nat_s = 1.0': "1: fault.percent: override needs it",
     'device = "robot"\nwhat = "override"\nat_s = 1.0\npercent = -1': "5: fault.percent: -1 is out of range",
@@ -331,7 +331,7 @@ SENSELESS = {
     'device = "actuator"\nwhat = "halt"\nat_s = 1.0': "3: fault.what: the actuator cannot halt; it can freeze",
     'device = "robot"\nwhat = "wrong_unit"\nrate = 0.1': "3: fault.what: robot_link has no wrong unit",
     'device = "loader"\nwhat = "drop"\nrate = 0.1': "2: fault.device: there is no loader in this cell; add [loader]",
-    'device = "robot"\nwhat = "drop"\nrate = 0.1\n[robot]\nkind = "linuxcnc"': "2: fault.device: a LinuxCNC is no",
+    'device = "robot"\nwhat = "drop"\nrate = 0.1\n[robot]\nkind = "linuxcnc"': "2: fault.device: a real LinuxCNC",
     'device = "robot"\nwhat = "exception"\nrate = 0.1\n[robot]\nkind = "opcua"': "3: fault.what: opcua has no",
 }
 
@@ -349,13 +349,13 @@ def test_a_profiled_drive_speaks_what_its_profile_says(tmp_path: Path, lines: st
     assert protocols(load_simulator(tmp_path / "sim.toml"), "spindle") == {"": protocol}
 
 
-def test_every_fault_of_the_file_is_told_with_its_line(tmp_path: Path) -> None:
+def test_every_fault_of_the_file_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "sim.toml"
     path.write_text('[plant]\nspeed = "60"\nsede = 1\n[robot]\nx_mm = [1.0]\n')
     with pytest.raises(ConfigError) as caught:
         load_simulator(path)
     said = str(caught.value).replace(str(path), "S").splitlines()
-    assert said[0] == "S:2: plant.speed: must be a number, not the string '60'; mend it"
+    assert said[0] == "S:2: plant.speed: must be a number, not the string '60'"
     assert said[1].startswith("S:3: plant.sede: unknown key; did you mean 'seed'? Known here: 'aperture_mm', ")
     assert said[2] == "S:5: robot.x_mm: has too few entries: [1.0]; add the others"
 

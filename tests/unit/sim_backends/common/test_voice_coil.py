@@ -176,7 +176,7 @@ def test_one_that_spikes_lets_go_when_it_is_retracted() -> None:
     assert (bench.coil.state, bench.coil.force_n) == (RETRACTED, 0.0)
 
 
-def test_one_that_presses_lands_with_that_force_whatever_is_asked() -> None:
+def test_one_that_presses_lands_with_that_force_for_any_set_point() -> None:
     bench = Bench()
     bench.coil.suffer(fault("press", force_n=49.0), True)
     bench.coil.set_force(0.8)
@@ -365,7 +365,7 @@ def test_firmware_that_hangs_goes_on_pressing() -> None:
     assert (bench.coil.force_n, bench.coil.faults) == (12.0, 0)
 
 
-def test_a_frozen_sensor_tells_the_same_whatever_acts() -> None:
+def test_a_frozen_sensor_reports_the_same_for_any_force() -> None:
     bench = Bench().pressed()
     freeze = FaultSection(device="actuator", what="freeze", at_s=0.0)
     bench.coil.suffer(freeze, True)

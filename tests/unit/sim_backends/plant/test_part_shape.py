@@ -197,7 +197,7 @@ def test_a_reversed_spindle_wears_the_mirror_image_of_a_measured_spot() -> None:
         assert np.allclose(turned["both"], (forward + mirrored(forward)) / 2.0, atol=1e-9)
 
 
-def test_contacts_that_follow_one_another_closely_wear_as_each_by_itself() -> None:
+def test_contacts_that_follow_one_another_closely_wear_as_each_alone() -> None:
     x = (np.arange(41) - 20) * 0.1
     rate = np.maximum(1.0 - (x[None, :] / 1.5) ** 2 - (x[:, None] / 1.5) ** 2, 0.0) * 80.0
     stamp, grid = MeasuredStamp(MeasuredTif(rate, 0.1), TOOL), Grid(61, 61, 0.3)

@@ -107,7 +107,7 @@ def test_up_a_tilted_part_the_true_force_is_another_than_the_measured_one() -> N
     assert abs(ratio - 1.0) == pytest.approx(pushed / 12.0, rel=0.05), "removal goes with the force"
 
 
-def test_a_guide_with_friction_presses_otherwise_along_a_tilted_part_and_tells_nothing() -> None:
+def test_a_guide_with_friction_presses_otherwise_along_a_tilted_part_without_a_report() -> None:
     _, sticks, measured = track(guide_friction_n=0.6)
     _, slides, same = track()
     assert np.array_equal(measured, same)

@@ -137,7 +137,7 @@ def test_a_part_that_is_taken_off_stays_to_be_seen_and_the_file_says_what_the_ne
     assert server.world.config.hidden_truth.tool_wear == 0.5
 
 
-def test_a_device_is_told_where_things_are(server: PlantServer) -> None:
+def test_a_device_gets_the_positions(server: PlantServer) -> None:
     now = time.monotonic()
     robot, actuator = arrive(server, "robot", now), arrive(server, "actuator", now)
     assert robot.reported("pose") == [list(SMALL.robot.home)]
@@ -206,7 +206,7 @@ async def test_frames_of_devices_reach_the_plant_and_its_answers_them(server: Pl
         await until(lambda: "robot" not in server.writers)
 
 
-async def test_who_does_not_introduce_himself_is_not_heard(server: PlantServer) -> None:
+async def test_a_client_without_hello_is_ignored(server: PlantServer) -> None:
     path = server.start.state / runtime.SOCKET
     listener = await asyncio.start_unix_server(server.serve, str(path))
     async with listener:
@@ -230,6 +230,6 @@ def test_the_account_is_written_when_motion_stops(server: PlantServer) -> None:
     assert account.exists()
 
 
-def test_a_start_can_be_told_from_another(tmp_path: Path) -> None:
+def test_each_start_has_another_identity(tmp_path: Path) -> None:
     start = Start(SMALL, tmp_path, seed=1, speed=60.0)
     assert replace(start, seed=2) != start

@@ -88,7 +88,7 @@ def test_a_program_is_loaded_run_paused_and_done(bench: Bench) -> None:
     bench.until(lambda: bench.state == DONE)
 
 
-def test_it_tells_when_its_line_began(bench: Bench) -> None:
+def test_it_reports_when_its_line_began(bench: Bench) -> None:
     bench.load()
     bench.pulse("start")
     bench.until(lambda: bench.plc.shown["line"] == 2)
@@ -115,7 +115,7 @@ def test_hold_beats_start_and_nothing_starts_while_it_is_on(bench: Bench) -> Non
     assert bench.state == HELD
 
 
-def test_a_feed_hold_goes_on_by_itself_as_machines_do(bench: Bench) -> None:
+def test_a_feed_hold_continues_on_release_as_machines_do(bench: Bench) -> None:
     bench.load()
     bench.pulse("start")
     bench.plc.press("feed hold", bench.now_s)
@@ -128,7 +128,7 @@ def test_a_feed_hold_goes_on_by_itself_as_machines_do(bench: Bench) -> None:
     assert bench.state == RUNNING
 
 
-def test_nobody_who_beats_is_noticed(bench: Bench) -> None:
+def test_a_missing_heartbeat_is_noticed(bench: Bench) -> None:
     bench.load()
     bench.pulse("start")
     bench.plc.press("feed hold", bench.now_s)

@@ -147,7 +147,7 @@ def test_load_send_run_done() -> None:
     assert [name for name, _ in bench.log] == ["client", "program_loaded", "motion_started", "motion_stopped"]
 
 
-def test_blocks_taken_already_are_ignored_and_gaps_asked_for_once() -> None:
+def test_repeated_blocks_are_ignored_and_gaps_requested_once() -> None:
     bench = Bench()
     client, got = bench.client()
     bench.load(client)
@@ -163,7 +163,7 @@ def test_blocks_taken_already_are_ignored_and_gaps_asked_for_once() -> None:
     assert got[-1] == (f.RESEND, struct.pack(">I", 10))
 
 
-def test_a_damaged_frame_is_asked_for_again() -> None:
+def test_a_damaged_frame_is_requested_again() -> None:
     bench = Bench()
     client, got = bench.loaded(LINES[:5])
     bench.controller.on_broken(client)
@@ -269,7 +269,7 @@ def test_unknown_types_are_refused() -> None:
     assert naks(got) == [(0x55, "protocol")]
 
 
-def test_a_stop_is_told_though_telling_of_the_start_lets_time_pass() -> None:
+def test_a_stop_is_reported_although_the_report_of_the_start_takes_time() -> None:
     """Reporting brings the motion to the present; on a busy machine a short retreat is over by then (issue 12.12)."""
     bench = Bench()
     client, _ = bench.loaded([b"G1 X1 F6000"])

@@ -21,7 +21,7 @@ def take(lease: Lease, client: Client, name: str, now_s: float, *, standing: boo
     return lease.take(client, name, now_s, standing=standing)
 
 
-def test_a_lease_lasts_as_long_as_its_writer_is_heard() -> None:
+def test_a_lease_lasts_as_long_as_its_writer_sends() -> None:
     lease, writer, other = Lease(1.0), new_client(), new_client()
     assert take(lease, writer, "", 10.0)
     assert not take(lease, other, "", 11.0)
@@ -44,7 +44,7 @@ def test_a_lease_is_named_anew_for_each_writer_and_kept_by_who_comes_back() -> N
     assert not take(lease, new_client(), names[0], 5.0), "an old one is worth nothing"
 
 
-def test_where_the_robot_stands_nobody_waits_for_a_writer_whose_connection_ended() -> None:
+def test_at_standstill_the_robot_does_not_wait_for_a_writer_whose_connection_ended() -> None:
     lease, writer = Lease(1.0), new_client()
     take(lease, writer, "", 0.0)
     lease.leave(new_client())
@@ -191,7 +191,7 @@ def test_a_running_robot_goes_on_with_what_it_holds_after_a_refusal_and_is_not_s
     assert naks(got)[1:] == [(f.RESUME, "no_program")]
 
 
-def test_a_lost_accepted_is_said_again_to_a_ping() -> None:
+def test_a_lost_accepted_is_sent_again_on_a_ping() -> None:
     bench = Bench()
     writer, got = bench.loaded()
     got.clear()
@@ -210,7 +210,7 @@ def test_everybody_hears_at_once_that_the_program_changed() -> None:
     assert last(got, f.STATUS)["program_sha256"] == ""
 
 
-def test_who_is_slow_to_take_records_gets_them_later_and_delays_nobody() -> None:
+def test_a_slow_client_gets_records_later_and_delays_no_other() -> None:
     bench = Bench()
     writer, got = bench.loaded()
     bench.resume(writer)
@@ -229,7 +229,7 @@ def test_who_is_slow_to_take_records_gets_them_later_and_delays_nobody() -> None
     assert len(executed(slow_got)) == 3 * CHUNK
 
 
-def test_nobody_is_asked_to_send_again_for_the_noise_of_a_reader() -> None:
+def test_noise_from_a_reader_requests_no_resend() -> None:
     bench = Bench()
     _, got = bench.loaded(LINES[:5])
     reader, renew = bench.client("reader")

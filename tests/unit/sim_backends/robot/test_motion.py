@@ -215,7 +215,7 @@ def test_rapid_runs_at_the_machines_own_speed_and_rotation_alone_is_a_move() -> 
     assert motion.executed[1][2] - motion.executed[1][1] == pytest.approx(3.01)
 
 
-def test_buffer_is_told_in_wall_seconds() -> None:
+def test_the_buffer_is_reported_in_wall_seconds() -> None:
     motion = loaded(LINE, speed=10.0, start=False)
     assert motion.ahead_s == pytest.approx(0.301)
     motion.resume(0.0, None)

@@ -110,7 +110,7 @@ def test_legs_follow_each_other_and_cover_the_path(chain: list[tuple[float, floa
 
 
 @given(LENGTHS, st.data())
-def test_it_stops_before_the_block_it_is_told(chain: list[tuple[float, float]], data: st.DataObject) -> None:
+def test_it_stops_before_the_commanded_block(chain: list[tuple[float, float]], data: st.DataObject) -> None:
     until = data.draw(st.integers(1, len(chain)))
     legs = plan(straight(chain), Cursor(), 0.0, until=until)
     assert legs.stop == until - 1

@@ -193,7 +193,7 @@ def test_a_script_that_comes_while_one_is_paused_only_stops_that() -> None:
     assert found.ints_out[1] == 1
 
 
-def test_beyond_its_ranges_it_stops_by_itself_and_waits_for_a_person() -> None:
+def test_beyond_its_ranges_it_stops_and_waits_for_an_operator() -> None:
     found = machine()
     found.load(f"def t():\n  movel({pose(900)}, a=2, v=0.1)\nend")
     for _ in range(1500):
