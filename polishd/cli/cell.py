@@ -22,8 +22,8 @@ from polishd.model.errors import ConfigError, DeviceFault, LinkError
 from polishd.plugin_loader import DECLARATIONS, load_cell, load_own, plugins_of
 from polishd.rendering.terminal import emit, key_table, outcome_tables, record_table, say, stderr, stdout
 from polishd.util.threads import run_loop
-from polishd.web.app import serve
 from polishd.web.http.users import Role, UserFile, users_path
+from polishd.web.routes import serve
 
 
 def plan_verb(

@@ -29,7 +29,7 @@ from polishd.daemon.assembly import (
 )
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.recorder import place, recording_to
-from polishd.daemon.contact.contact_record import require_stall_depth
+from polishd.daemon.contact.stall_removal import require_stall_depth
 from polishd.daemon.damaged_journal import DamagedCell, hold_damaged
 from polishd.daemon.job.resume_checks import require_same, terms_of
 from polishd.daemon.job_runner import JobRunner, run_until_finished

@@ -19,8 +19,8 @@ from polishd.config.cell_sections import ForceSensorSection, RobotSection
 from polishd.daemon.cell.cell import Cell, MonotonicClock, Signals
 from polishd.daemon.cell.device_polling import missing_members
 from polishd.daemon.cell.time_limits import ActionTimeLimit, stays_on, too_short
-from polishd.daemon.contact.contact_record import require_stall_depth
 from polishd.daemon.contact.safety import ContactLimits
+from polishd.daemon.contact.stall_removal import require_stall_depth
 from polishd.daemon.job.job import Job
 from polishd.daemon.job.resume_checks import require_same, terms_of
 from polishd.daemon.job.tool_sequence import ToolSequence, ToolStepState

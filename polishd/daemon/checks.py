@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from polishd.config.cell import CellConfig
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon.assembly import (
     build_cell,
     build_notifiers,
@@ -23,14 +23,14 @@ from polishd.daemon.assembly import (
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.readiness import report_once
 from polishd.daemon.cell.recorder import place, recording_to
-from polishd.daemon.contact.contact_record import (
+from polishd.daemon.contact.safety import ContactLimits, make_safe
+from polishd.daemon.contact.stall_removal import (
     StallRemoval,
     require_stall_depth,
     stall_removal,
     timing_uncertainty_s,
     tolerance_nm,
 )
-from polishd.daemon.contact.safety import ContactLimits, make_safe
 from polishd.daemon.queue.queue import NewJob
 from polishd.daemon.queue.requests import new_job
 from polishd.daemon.runtime.exit_record import locked

@@ -14,7 +14,7 @@ PolishdError
     StaleMap       it was measured before the last pass ended
     BadMap         it cannot be read, or not be trusted
     WrongPart      it shows another part
-    NotSettled     no two in a row agree within the instrument's noise
+    PartNotSettled     no two in a row agree within the instrument's noise
   GateStop *       a pass did not do what its plan said: mend why       (10)
   ToolStop *       the tool is no longer what plans count with: see to it (10)
   ComputeError     fall back, or stop before RUN                        (10)

@@ -17,7 +17,7 @@ from typing import Any
 
 import tomlkit
 
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.config.toml_loader import join_words
 from polishd.model.errors import ConfigError
 from polishd.shop.database import DatabaseTransaction

@@ -51,7 +51,7 @@ def test_the_example_loads(path: Path) -> None:
     from polishd.config.cell import load_config  # not at the top: the rules should run while this does not
     from polishd.config.device_profile_checks import load_device_profile
     from polishd.config.instrument_profile import load_profile
-    from polishd.config.job import JobFile
+    from polishd.config.job_file import JobFile
     from polishd.config.study import load_scenario
     from polishd.config.sweep import load_swept
 

@@ -20,7 +20,8 @@ from typing import Any, TypeVar, cast
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.device_polling import read_samples, root_cause, with_deadline
 from polishd.daemon.cell.time_limits import ANSWERS_S, safe_within_s
-from polishd.daemon.contact.contact_record import ContactRecord, ForceCheck, verdict
+from polishd.daemon.contact.contact_record import ContactRecord
+from polishd.daemon.contact.force_check import ForceCheck, verdict
 from polishd.daemon.runtime.memory import RESERVE
 from polishd.interfaces import ForceActuator, Robot
 from polishd.model.devices import ForceSample, SensedForce, SpeedSample

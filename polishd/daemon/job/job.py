@@ -12,7 +12,7 @@ from dataclasses import KW_ONLY, asdict, dataclass, field, replace
 from typing import Any, NamedTuple
 
 from polishd.config.process_sections import LIMITS_OF_PROCESS
-from polishd.daemon.contact.contact_record import excess_map
+from polishd.daemon.contact.stall_removal import excess_map
 from polishd.daemon.job import initial_estimates
 from polishd.daemon.job.run_folder_writer import RunFolderWriter
 from polishd.daemon.job.tool_sequence import ToolSequence, tool_of

@@ -20,7 +20,8 @@ import numpy as np
 
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.readiness import before_contact, require_robot
-from polishd.daemon.contact.contact_record import ContactRecord, ForceCheck
+from polishd.daemon.contact.contact_record import ContactRecord
+from polishd.daemon.contact.force_check import ForceCheck
 from polishd.daemon.contact.safety import ContactLimits, contact, in_band
 from polishd.daemon.contact.streaming import Stream, streaming
 from polishd.daemon.job.job import Job

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.config.toml_loader import did_you_mean, join_words
 from polishd.daemon.journal.journal import JOURNAL_NAME, over_row
 from polishd.daemon.journal.store import Row, Store

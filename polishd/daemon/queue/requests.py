@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon.job.resume_checks import file_terms
 from polishd.daemon.queue.queue import NewJob, Queue, QueueEntry
 from polishd.daemon.socket.server import Handler

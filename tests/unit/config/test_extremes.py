@@ -16,7 +16,7 @@ from polishd.config.controller_profile import load_controller_profile
 from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR as DEVICES
 from polishd.config.device_profile_checks import load_device_profile
 from polishd.config.instrument_profile import load_profile
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.config.simulator import load_simulator
 from polishd.config.study import load_scenario
 from polishd.config.sweep import load_swept

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.config.simulator import Plant
 from polishd.model.errors import ConfigError
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon import assembly
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.queue.queue import NewJob, Queue

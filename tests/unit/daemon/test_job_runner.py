@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import pytest
 
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon import job_runner as daemon_module
 from polishd.daemon.app import _serve
 from polishd.daemon.cycle import short_collections

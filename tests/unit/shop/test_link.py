@@ -90,7 +90,7 @@ class Desk:
             if self.refuses:
                 return {"ok": False, "error": self.refuses[0], "exit_code": self.refuses[1]}
             with Queue.at_rest(self._config.state_dir) as queue:
-                from polishd.config.job import JobFile
+                from polishd.config.job_file import JobFile
                 from polishd.daemon.queue.queue import NewJob
 
                 (job,) = args["files"]

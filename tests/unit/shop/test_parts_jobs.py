@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.model.errors import ConfigError
 from polishd.shop import parts
 from polishd.shop.parts import digests, part_of, read_part

@@ -17,8 +17,8 @@ from starlette.testclient import TestClient
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.socket.client import SOCKET_NAME
-from polishd.web.app import application
 from polishd.web.http.users import Role, UserFile, users_path
+from polishd.web.routes import application
 
 LIVE = {
     "state": "polishing",

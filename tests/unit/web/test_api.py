@@ -13,9 +13,9 @@ import pytest
 from polishd.daemon.journal.journal import Journal
 from polishd.model.events import AlarmAcknowledged, CellHeld
 from polishd.web import api, run_data
-from polishd.web.app import ROUTES, ApiRoute, document, open_path
 from polishd.web.http import server
 from polishd.web.http.users import Role
+from polishd.web.routes import ROUTES, ApiRoute, document, open_path
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 

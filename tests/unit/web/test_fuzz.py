@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from polishd.web.app import ROUTES, ApiRoute
 from polishd.web.http import server
 from polishd.web.http.users import Role
+from polishd.web.routes import ROUTES, ApiRoute
 from tests.unit.web.served import Served, served
 
 ANSWERS = {200, 202, 400, 401, 403, 404, 405, 409}

@@ -16,7 +16,7 @@ from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
 from polishd.model.errors import ConfigError
 from polishd.model.events import CellHeld
 from polishd.model.states import DaemonState, Outcome
-from polishd.web import app
+from polishd.web import routes
 from polishd.web.http.users import Role
 from polishd.web.metrics import OUTCOMES, STATES, Metrics, MetricsSnapshot
 from tests.unit.web.served import LIVE, Served, served
@@ -184,4 +184,4 @@ def test_a_missing_library_is_said_at_the_start(tmp_path: Path, monkeypatch: pyt
     cell.write_text(cell.read_text().replace("[web] ", "[web]\nmetrics = true\n# "))
     monkeypatch.setitem(sys.modules, "polishd.web.metrics", None)
     with pytest.raises(ConfigError, match=r"web.metrics: needs prometheus-client.*pip install 'polishd\[metrics\]'"):
-        app.application(load_config(cell))
+        routes.application(load_config(cell))

@@ -10,7 +10,7 @@ import pytest
 
 from polishd.commissioning.calibration.first_touch import TouchOptions, touch_verb
 from polishd.config.cell import load_config
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.model.errors import ComputeError, ConfigError
 from tests.unit.studies.studies import TABLE_III
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon.journal.journal import JOURNAL_NAME, Journal, over_row
 from polishd.daemon.journal.store import Store
 from polishd.daemon.queue.queue import JobResult, NewJob, Queue

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.job import JobFile
+from polishd.config.job_file import JobFile
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.queue.queue import BY_A_PERSON, JobResult, NewJob, Queue, judge
 from polishd.model.errors import ConfigError, LinkError, RemovalCheckStop

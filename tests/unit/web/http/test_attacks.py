@@ -18,14 +18,14 @@ from polishd.daemon.journal.journal import Journal
 from polishd.model.errors import ConfigError
 from polishd.model.events import PartRequested
 from polishd.model.states import NOT_ASKED
-from polishd.web import app
+from polishd.web import routes
 from polishd.web.http import server, users
 from polishd.web.http.server import BUDGET, LOCKED_S, WRONG, LoginLockout, RateLimiter
 from polishd.web.http.users import Role, UserFile, users_path
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 
-STATIC = Path(app.__file__).parent / "static"
+STATIC = Path(routes.__file__).parent / "static"
 
 
 @pytest.fixture
@@ -38,7 +38,8 @@ def web(tmp_path: Path) -> Iterator[Served]:
 @pytest.mark.parametrize(
     "path",
     [
-        "/../pyproject.toml", "/%2e%2e/%2e%2e/etc/passwd", "/static/../app.py", "/..%2fapp.py", "/page.js/../../app.py",
+        "/../pyproject.toml", "/%2e%2e/%2e%2e/etc/passwd", "/static/../routes.py", "/..%2froutes.py",
+        "/page.js/../../routes.py",
         "/api/jobs/1/cycles/0/map/..%2f..%2fjournal", "/api/jobs/../../x", "//etc/passwd", "/page.js%00.css",
         "/api/jobs/-1/cycles", "/api/jobs/99999999999999999999/cycles",
     ],
@@ -257,7 +258,7 @@ def test_beyond_this_computer_only_with_tls_and_users(tmp_path: Path) -> None:
     keys = 'address = "0.0.0.0"\ncert = "a.pem"\nkey = "b.pem"'
     files.cell.write_text(files.cell.read_text().replace("port = 8750", keys))
     with pytest.raises(ConfigError, match="there are no users"):
-        app.serve(load_config(files.cell))
+        routes.serve(load_config(files.cell))
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o660, 0o662, None])
@@ -270,7 +271,7 @@ def test_a_tls_key_that_others_may_read_is_refused(tmp_path: Path, mode: int | N
         key.chmod(mode)
     says = r"cell\.toml:\d+: web\.key: " + ("mode .*Run: chmod 600 " if mode else ".*No such file")
     with pytest.raises(ConfigError, match=says):
-        app.serve(load_config(files.cell))
+        routes.serve(load_config(files.cell))
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from polishd.daemon.contact.contact_record import ForceCeiling, ForceCheck, verdict
+from polishd.daemon.contact.force_check import ForceCeiling, ForceCheck, verdict
 from polishd.model.errors import ForcesApart, SafetyStop
 
 STEP_S = 0.05

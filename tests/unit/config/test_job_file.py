@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.job import OF_THE_CELL, JobFile
+from polishd.config.job_file import OF_THE_CELL, JobFile
 from polishd.model.errors import ConfigError
 
 JOB = """
