@@ -301,10 +301,8 @@ def test_devices_of_another_plugin_have_the_shipped_simulated_devices(tmp_path: 
     """Each simulated device has the kind that its section takes, and the values of the cell."""
     text = CELL.replace('"robot_link"', '"other_robot_link"').replace('"watched_folder"', '"other_watched_folder"')
     text = text.replace('"cia402_spindle"', '"other_cia402_spindle"')
-    text += (
-        '\n[monitor]\ntype = "other_monitor_line"\naddress = "serial:/dev/ttyUSB4"\n'
+    text += '\n[monitor]\ntype = "other_monitor_line"\naddress = "serial:/dev/ttyUSB4"\n'
     text += "[signals.flow.before]\nmin = 1.0\n"
-    )
     text = with_keys(text, {"robot": {"watchdog_s": 12.0}, "metrology": {"request_file": "go.txt"}})
     draft = made_of_others(tmp_path, text)
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
