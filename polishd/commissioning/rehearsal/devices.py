@@ -1,4 +1,4 @@
-"""Devices of a rehearsal's cell: on this computer, and of types that are simulated."""
+"""Devices of a rehearsal's cell: addresses on this computer, and substitutes for types that are not simulated."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SUBSTITUTE_KEYS: Mapping[str, Mapping[str, Any]] = {
 
 
 def is_simulated(draft: RehearsalDraft, device: str, **keys: Any) -> bool:
-    """Return True for a type that names its simulated device. Replace any other by the substitute, with these keys."""
+    """Return True for a type that names its simulated device. Replace others by the substitute with these keys."""
     port, options = port_of(device), draft.options(device)
     has_profile = port == "force_sensor" and "profile" in options
     if draft.device_type(device).simulated_by and (not has_profile or options["profile"] == SENSOR_PROFILE):
@@ -52,13 +52,13 @@ def is_simulated(draft: RehearsalDraft, device: str, **keys: Any) -> bool:
 
 
 def add_line(draft: RehearsalDraft, device: str) -> None:
-    """A loader, a force sensor or a monitor."""
+    """Add a loader, a force sensor or a monitor."""
     if is_simulated(draft, device):
         move_address(draft, device, draft.options(device)["address"])
 
 
 def add_actuator(draft: RehearsalDraft, device: str) -> None:
-    """ConfigError where the simulated one cannot press as the process asks."""
+    """Add the actuator; raise ConfigError if the simulated one cannot apply the force of the process."""
     if draft.config.process.force_n > MOST_N:
         raise draft.config.error("process.force_n", f"the simulated actuator presses with {MOST_N:g} N at most")
     kind, stroke_mm = draft.config.devices[device].type, 10.0
@@ -80,7 +80,7 @@ def add_actuator(draft: RehearsalDraft, device: str) -> None:
 
 
 def add_spindle(draft: RehearsalDraft, device: str) -> None:
-    """The spindle."""
+    """Add the spindle."""
     if is_simulated(draft, device):
         options = draft.options(device)
         move_address(draft, device, options["address"])
@@ -90,9 +90,9 @@ def add_spindle(draft: RehearsalDraft, device: str) -> None:
 
 
 def _adopt_files(draft: RehearsalDraft, device: str, options: Mapping[str, Any]) -> None:
-    """EDS file and device profile are the cell's."""
+    """Use the cell's EDS file and device profile."""
     for key in ("eds", "profile"):
-        if (key == "eds" and key in options) or options.get(key, "").endswith(".toml"):
+        if (key == "eds" and key in options) or (options.get(key) or "").endswith(".toml"):
             draft.laid[f"{device}.{key}"] = str(draft.config.resolve(options[key]).absolute())
 
 
@@ -121,7 +121,7 @@ TIMES = (
 
 
 def add_robot(draft: RehearsalDraft, device: str) -> None:
-    """ConfigError where no simulated controller reads the cell's program."""
+    """Add the robot; raise ConfigError if no simulated controller reads the cell's program."""
     kind, address = str(draft.config.devices[device].type), f"tcp://{LOOPBACK}:{free_port()}"
     _require_language(draft, device)
     add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "plc_robot": _plc_robot}
