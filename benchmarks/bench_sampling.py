@@ -21,12 +21,12 @@ import numpy as np
 
 from benchmarks.dwell_cases import Case, build
 from benchmarks.harness import Progress, Row, running_cell
+from polishd.config.device_profile_checks import profile_of
 from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.drivers.cia402.drive import CanNodeAddress
 from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.profile_device import build as make
-from polishd.drivers.profile_device.build import profile_of
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import SocketcandAddress, Tcp, parse_address
 from polishd.model.devices import SpindleTimes

@@ -71,7 +71,7 @@ class DeviceType:
     usual_address: str = ""
     """Address that ``polishd init`` suggests."""
     simulated_by: str = ""
-    """``SimDevice.name`` of the simulated device with the same protocol; empty: none."""
+    """``SimDevice.name`` of the simulated device with the same protocol, or ``kind`` of its section; empty: none."""
     simulation_speed: float = 10.0
     """Robot: highest process seconds per wall second of its simulated controller and its driver."""
     substitute: Mapping[str, Any] | None = None

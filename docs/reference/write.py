@@ -85,8 +85,9 @@ to make and try one. A profile has one of `[actuator]`, `[spindle]`, `[force_sen
     "controller": """This page lists the keys of the profile of a robot controller that loads files
 (`[robot] type = "plc_robot"`); see [the shipped profiles](../../polishd/config/controller_profiles).
 [protocols/plc_robot.md](../protocols/plc_robot.md) describes each variable.""",
-    "simulator": """This page lists the keys of the simulated cell; [examples/sim.toml](../../examples/sim.toml) shows
-them with comments. Every key may be left out.""",
+    "simulator": """This page lists the keys of sim.toml: what only a simulator knows of a cell.
+[examples/sim.toml](../../examples/sim.toml) shows them with comments. Every key may be left out: the value is then that
+of the file in `cell`, else the default of this page.""",
     "shop": """This page lists the keys of the file of a shop; [shop.md](../shop.md) describes how to set one up.""",
 }
 
@@ -191,7 +192,7 @@ def files() -> dict[str, list[Table]]:
 
 def simulator() -> list[Table]:
     """The tables of SIM.toml: those that simulated devices share, and those that a device declares."""
-    shared = list(tables(SimConfig))
+    shared: list[Table] = [("", SimConfig), *tables(SimConfig)]
     known = {model for _, model in shared}
     declared = [(f'[{one.device}] kind = "{one.name}"', one.section) for one in sim_devices()]
     return shared + [table for table in declared if table[1] not in known]

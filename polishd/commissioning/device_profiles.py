@@ -10,8 +10,9 @@ from typing import Any
 from rich.console import Group, RenderableType
 
 from polishd.config.device_profile import TRIED, DeviceProfile
+from polishd.config.device_profile_checks import profile_of, shipped
 from polishd.drivers.profile_device import build
-from polishd.drivers.profile_device.build import address_of, profile_of, shipped, wire_of
+from polishd.drivers.profile_device.build import address_of, wire_of
 from polishd.drivers.transport.address import PARITIES, SerialLine, Tcp
 from polishd.model.errors import ConfigError, DeviceError, DeviceRefused, LinkError, ProtocolError
 from polishd.rendering.terminal import emit, key_table, record_table, stderr, stdout

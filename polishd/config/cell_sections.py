@@ -14,7 +14,7 @@ from polishd.config.fields import (
     ConfigSection,
     Name,
     NotNegative,
-    OutlineKeys,
+    OpticKeys,
     Pair,
     Positive,
     Range,
@@ -30,7 +30,6 @@ from polishd.model.devices import SignalAction, SignalLimits, SignalRange
 from polishd.model.dwell import Choice
 from polishd.model.estimates import FindingLimits
 from polishd.model.outline import Outline
-from polishd.model.process import FLAT
 from polishd.model.tolerance import Accept
 
 _FINDING = FindingLimits()
@@ -166,7 +165,7 @@ class InstrumentSection(ConfigSection):
     deviations. A steep bump is removed, too. 0: no spikes are searched. [MAD]"""
 
 
-class PartSection(OutlineKeys):
+class PartSection(OpticKeys):
     """The part, and its pose in the robot's base frame."""
 
     id: Text
@@ -185,14 +184,6 @@ class PartSection(OutlineKeys):
     """The part's center in the robot's base frame."""
     rotation_rpy_deg: Angles
     """Rotation of its frame there: intrinsic rotations about x, y' and z''. z is the surface's normal."""
-    curvature_radius_mm: float | None = FLAT.radius_mm
-    """Vertex radius of the optic, positive if it is concave. Left out: flat."""
-    conic: float = FLAT.conic
-    """Conic constant: 0 a sphere, -1 a paraboloid. [1]"""
-    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
-    """Even aspheric terms A4, A6, ..., positive up. [mm^-3, mm^-5, ...]"""
-    off_axis_mm: Pair = FLAT.offset_mm
-    """Position of the part's center from the vertex, in the parent's x and y."""
 
     @model_validator(mode="after")
     def _has_clear_aperture(self) -> Self:

@@ -193,3 +193,26 @@ def device_profile_of(text: str, path: Path) -> DeviceProfile:
     if found := faults_of(profile):
         raise ConfigError("\n".join(profile.source.error(key, problem) for key, problem in found))
     return profile
+
+
+# Profiles: polishd's by name, the user's by file.
+
+DEVICE_PROFILE_DIR = Path(__file__).with_name("device_profiles")
+
+
+def shipped() -> list[str]:
+    """Names of polishd's profiles, sorted."""
+    return sorted(path.stem for path in DEVICE_PROFILE_DIR.glob("*.toml"))
+
+
+def profile_of(name: str, base_dir: Path) -> DeviceProfile:
+    """Read the profile of that name, or a ``.toml`` file relative to ``base_dir``; ConfigError names file and key."""
+    if name.endswith(".toml"):
+        return load_device_profile(base_dir / Path(name).expanduser())
+    known = shipped()
+    if name not in known:
+        hint = (
+            f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
+        )
+        raise ConfigError(f"profile {name!r} is not known{hint}")
+    return load_device_profile(DEVICE_PROFILE_DIR / f"{name}.toml")

@@ -20,6 +20,7 @@ from pydantic import (
 
 from polishd.model.errors import ComputeError
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
+from polishd.model.process import FLAT
 
 
 def as_tuple(value: Any) -> Any:
@@ -181,6 +182,19 @@ class OutlineKeys(ConfigSection):
     def outline(self) -> Outline:
         """The outline by these keys. ComputeError if they name a file, which must be read first."""
         return _made(self.outline_key, getattr(self, self.outline_key), (self.hole_mm or 0.0) / 2)
+
+
+class OpticKeys(OutlineKeys):
+    """Outline and surface of a part."""
+
+    curvature_radius_mm: float | None = FLAT.radius_mm
+    """Vertex radius of the optic, positive if it is concave. Left out: flat."""
+    conic: float = FLAT.conic
+    """Conic constant: 0 a sphere, -1 a paraboloid. [1]"""
+    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
+    """Even aspheric terms A4, A6, ..., positive up. [mm^-3, mm^-5, ...]"""
+    off_axis_mm: Pair = FLAT.offset_mm
+    """Position of the part's center from the vertex, in the parent's x and y."""
 
 
 def as_keys(outline: Outline) -> Mapping[str, Any]:

@@ -204,7 +204,30 @@ LEAST_FORCE_MARGIN_N = 2.0
 FORCE_MARGIN = 1.5
 
 
-class ProcessSection(ConfigSection):
+class ContactKeys(ConfigSection):
+    """Tool and contact of Hertz's and Preston's equations. The defaults are the paper's Table II."""
+
+    tool_radius_mm: Positive = _TOOL.tool_radius_mm
+    """Radius of the bonnet's sphere."""
+    normal_force: NormalForce = _TOOL.normal_force
+    """Force of the Hertz contact: the actuator's force, or that force divided by the cosine of the dip (eq. 44)."""
+    preston: Preston = _TOOL.preston_cm2_per_n
+    """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
+    The estimated removal rate multiplies it from pass to pass. [as written]"""
+    spot_offset_mm: Pair = _TOOL.spot_offset_mm
+    """Position of the spot's center from the programmed point, in the tool's frame: y is the direction in which the
+    spindle leans."""
+    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
+    """Young's modulus of the bonnet."""
+    tool_poisson: Poisson = _TOOL.tool_poisson
+    """Poisson's ratio of the bonnet. [1]"""
+    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
+    """Young's modulus of the part."""
+    part_poisson: Poisson = _TOOL.part_poisson
+    """Poisson's ratio of the part. [1]"""
+
+
+class ProcessSection(ContactKeys):
     """Tool, contact and removal. The defaults are the paper's Table II and its main process."""
 
     removal_model: Text = "hertz_preston"
@@ -221,37 +244,19 @@ class ProcessSection(ConfigSection):
     ripple of the lines. Time and memory grow with the inverse square of the pitch."""
     tif: Text | None = None
     """File of a measured TIF, made by `polishd calibrate tif`, for `removal_model = "measured_tif"`."""
-    tool_radius_mm: Positive = _TOOL.tool_radius_mm
-    """Radius of the bonnet's sphere."""
     force_n: Force = _TOOL.force_n
     """Force along the actuator in contact."""
     force_max_n: Force | None = None
     """Largest force that any device may read in contact and while landing. One reading above it, or a rise that would
     exceed it before the next reading, makes the daemon leave contact at once. Left out: 1.5 times `force_n`, at least
     2 N above it."""
-    normal_force: NormalForce = _TOOL.normal_force
-    """Force of the Hertz contact: the actuator's force, or that force divided by the cosine of the dip (eq. 44)."""
     rpm: Speed = _TOOL.rpm
     """Speed of the spindle in contact."""
     dip_deg: Dip = _TOOL.dip_deg
     """Angle between the spindle and the surface's normal. At 0 the contact's center does not slide."""
-    preston: Preston = _TOOL.preston_cm2_per_n
-    """Preston's constant with its unit, such as `"1.49e-9 cm2/N"`: cm2/N, mm2/N, m2/N, 1/Pa, 1/kPa, 1/MPa or 1/GPa.
-    The estimated removal rate multiplies it from pass to pass. [as written]"""
     depth_exponent: Annotated[float, Field(gt=0, le=4)] = _TOOL.depth_exponent
     """Exponent m of the correction `power`: removal is proportional to gamma to this power. 1.5 for Hertz, or the
     result of `polishd calibrate exponent`. [1]"""
-    spot_offset_mm: Pair = _TOOL.spot_offset_mm
-    """Position of the spot's center from the programmed point, in the tool's frame: y is the direction in which the
-    spindle leans."""
-    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
-    """Young's modulus of the bonnet."""
-    tool_poisson: Poisson = _TOOL.tool_poisson
-    """Poisson's ratio of the bonnet. [1]"""
-    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
-    """Young's modulus of the part."""
-    part_poisson: Poisson = _TOOL.part_poisson
-    """Poisson's ratio of the part. [1]"""
     viscosity_mpa_s: NotNegative = _TOOL.viscosity_mpa_s
     """Shear viscosity of the bonnet, for the dissipative stress; 0: none."""
     second_viscosity_mpa_s: NotNegative = _TOOL.second_viscosity_mpa_s

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
+from polishd.config.cell import load_config, overlay
 from polishd.config.fields import (
     BumpSection,  # fmt: skip
     ConfigSection,  # fmt: skip
@@ -16,7 +19,7 @@ from polishd.config.fields import (
     Force,
     Name,  # fmt: skip
     NotNegative,  # fmt: skip
-    OutlineKeys,
+    OpticKeys,
     Pair,  # fmt: skip
     Positive,  # fmt: skip
     ShareOrNone,  # fmt: skip
@@ -27,11 +30,14 @@ from polishd.config.fields import (
     as_tuple,  # fmt: skip
     require_cells,
 )
-from polishd.config.process_sections import HybridSection, KinematicsSection, Poisson, Preston, robot_of
+from polishd.config.process_sections import ContactKeys, HybridSection, KinematicsSection, robot_of
+from polishd.config.simulator_cell import CellValues, add_devices, add_physics
 from polishd.config.simulator_errors import FRAMES, MOTION, STATES, Effects, FaultSection, InstrumentErrors
 from polishd.config.table_files import read_tif
-from polishd.config.toml_loader import TomlDocument, load_toml
-from polishd.model.process import FLAT, MeasuredTif, NormalForce, Projection, RobotModel, ToolProcess
+from polishd.config.toml_loader import TomlDocument, TomlSource, key_lines, load_toml
+from polishd.model.errors import ConfigError
+from polishd.model.process import MeasuredTif, Projection, RobotModel, ToolProcess
+from polishd.util.files import toml_text
 
 # The sections of SIM.toml that say what is physical: the part, how its tool removes, and the hidden truth.
 
@@ -42,7 +48,7 @@ MOST_OF_RADIUS = 0.99
 """So near to its end may a sphere or an ellipsoid come under the part and its ring."""
 
 
-class Plant(OutlineKeys):
+class Plant(OpticKeys):
     """The part, where it lies, and the surface it starts with."""
 
     seed: int = 1
@@ -63,14 +69,6 @@ class Plant(OutlineKeys):
     """Of the surface at the start, in the clear aperture; 0: it starts flat."""
     pv_nm: NotNegative = 150.0
     """Peak to valley of the same; one bump makes up what the RMS does not give."""
-    curvature_radius_mm: float | None = FLAT.radius_mm
-    """Vertex radius of the optic, positive where it is concave; left out: flat. `part.curvature_radius_mm`."""
-    conic: float = FLAT.conic
-    """Conic constant: 0 a sphere, -1 a paraboloid. [1]"""
-    even: Annotated[tuple[float, ...], BeforeValidator(as_tuple)] = FLAT.even
-    """Even aspheric terms A4, A6, ..., positive up. [mm^-3, mm^-5, ...]"""
-    off_axis_mm: Pair = FLAT.offset_mm
-    """Where the part's centre lies from the vertex, in the parent's x and y."""
     origin_mm: Vector = (230.0, 160.0, 2085.0)
     """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
     rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
@@ -140,26 +138,9 @@ class Truth(ConfigSection):
     """How far off that it is drawn, either way, relative. [1]"""
 
 
-class SimContactSection(ConfigSection):
+class SimContactSection(ContactKeys):
     """The tool, and how it removes: Hertz's contact and Preston's equation, or a spot that was measured."""
 
-    tool_radius_mm: Positive = _TOOL.tool_radius_mm
-    """Radius of the bonnet's sphere."""
-    preston: Preston = _TOOL.preston_cm2_per_n
-    """Preston's constant with its unit, as a cell has it; `hidden_truth.rate` says how far off it the truth may be.
-    [as written]"""
-    normal_force: NormalForce = _TOOL.normal_force
-    """What Hertz is given: the actuator's force, or that over the cosine of the dip."""
-    spot_offset_mm: Pair = _TOOL.spot_offset_mm
-    """Where the spot's centre lies from the tool's tip, in the tool's frame: y where the spindle leans."""
-    tool_modulus_mpa: Positive = _TOOL.tool_modulus_mpa
-    """Young's modulus of the bonnet."""
-    tool_poisson: Poisson = _TOOL.tool_poisson
-    """Poisson's ratio of the bonnet. [1]"""
-    part_modulus_mpa: Positive = _TOOL.part_modulus_mpa
-    """Young's modulus of the part."""
-    part_poisson: Poisson = _TOOL.part_poisson
-    """Poisson's ratio of the part. [1]"""
     tif: Text | None = None
     """File of a measured TIF, as `polishd calibrate tif` writes it: the tool removes that instead of Hertz's spot."""
     force_n: Force = _TOOL.force_n
@@ -180,7 +161,17 @@ class SimContactSection(ConfigSection):
 # mypy: implicit-reexport
 
 
-__all__ = ["FRAMES", "MOTION", "SEVEN", "STATES", "FaultSection", "SimConfig", "load_simulator"]
+__all__ = [
+    "FRAMES",
+    "MOTION",
+    "SEVEN",
+    "STATES",
+    "FaultSection",
+    "SimConfig",
+    "load_plant",
+    "load_simulator",
+    "require_simulated",
+]
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
@@ -315,6 +306,8 @@ class SimSpindleSection(ConfigSection):
 class SimInterferometerSection(ConfigSection):
     """The interferometer and its folder (``maps`` in the state folder)."""
 
+    kind: Literal["watched_folder"] = "watched_folder"
+    """How maps reach the cell."""
     request_file: str = "measure.request"
     """A file of this name in the folder asks for a map; `metrology.request_file` of the cell."""
     write_s: NotNegative = 0.2
@@ -411,8 +404,11 @@ class SimLoaderSection(SimLineSection):
 
 
 class SimConfig(TomlDocument):
-    """The whole of SIM.toml."""
+    """The whole of sim.toml."""
 
+    cell: Text | None = None
+    """The cell's file. Part, tool, robot, instrument, protocols and addresses are read from it, and times are within
+    its limits. A key that is in this file too is the machine's true value. Left out: the defaults of this page."""
     plant: Plant = Plant()
     hidden_truth: Truth = Truth()
     effects: Effects = Effects()
@@ -426,6 +422,7 @@ class SimConfig(TomlDocument):
     force_sensor: SimForceSensorSection | None = None
     monitor: SimMonitorSection | None = None
     fault: Annotated[tuple[FaultSection, ...], BeforeValidator(as_tuple)] = ()
+    _not_simulated: Mapping[str, ConfigError] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -433,6 +430,11 @@ class SimConfig(TomlDocument):
         if radius_mm is not None and tool_mm / radius_mm > CLOSEST:
             raise ValueError(f"plant: into a radius of {radius_mm:g} mm a bonnet of {tool_mm:g} mm does not fit")
         return self
+
+    @property
+    def path(self) -> Path:
+        """Absolute path of the file."""
+        return self._path
 
     def robot_model(self) -> RobotModel:
         """The robot as it is on paper: `hidden_truth.stiffness` draws what it truly is. ConfigError as of a cell's."""
@@ -442,7 +444,72 @@ class SimConfig(TomlDocument):
         """What the tool removes, where that was measured; ConfigError where its file is none."""
         return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
 
+    def require_simulated(self, devices: Collection[str] | None = None) -> None:
+        """Raise ConfigError if one of these devices cannot be simulated as the cell has it; None: any device."""
+        for device, error in self._not_simulated.items():
+            if devices is None or device in devices:
+                raise error
 
-def load_simulator(path: Path) -> SimConfig:
-    """Read SIM.toml; ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``."""
-    return SimConfig.of(*load_toml(path))
+
+def load_simulator(
+    path: Path, model_of: Callable[[Mapping[str, Any]], type[SimConfig]] = lambda _: SimConfig
+) -> SimConfig:
+    """Read sim.toml and the cell that it names. ``model_of`` returns the model for the sections.
+
+    Raises:
+        ConfigError: one line per problem of either file, ``FILE:LINE: section.key: what is wrong; what to do``.
+    """
+    raw, source, values = _read(path)
+    if values is not None:
+        add_devices(values)
+        raw, source = _laid_over(raw, source, values)
+    made = model_of(raw).of(raw, source)
+    made._path = path.absolute()
+    made._not_simulated = {} if values is None else values.not_simulated
+    return made
+
+
+def require_simulated(path: Path) -> None:
+    """Raise ConfigError if a device of the cell that sim.toml names cannot be simulated as the cell has it."""
+    _, _, values = _read(path)
+    if values is not None:
+        add_devices(values)
+        for error in values.not_simulated.values():
+            raise error
+
+
+def load_plant(path: Path) -> tuple[dict[str, Any], TomlSource]:
+    """Return the sections of sim.toml with the values of its cell, for a plant without links, and their source.
+
+    Raises:
+        ConfigError: a file cannot be read, or the cell is invalid.
+    """
+    raw, source, values = _read(path)
+    return (raw, source) if values is None else _laid_over(raw, source, values)
+
+
+def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
+    raw, source = load_toml(path)
+    named = raw.pop("cell", None)
+    if named is None:
+        return raw, source, None
+    if not isinstance(named, str):
+        raise ConfigError(source.error(("cell",), f"must be the name of a file, not {named!r}. Correct it."))
+    cell = path.parent / Path(named).expanduser()
+    try:
+        toml_text(cell)
+    except ConfigError as error:
+        raise ConfigError(source.error(("cell",), str(error))) from error
+    values = CellValues(load_config(cell), path.parent, raw)
+    add_physics(values)
+    return raw, source, values
+
+
+def _laid_over(raw: Mapping[str, Any], source: TomlSource, values: CellValues) -> tuple[dict[str, Any], TomlSource]:
+    """Return the cell's values with those of sim.toml laid over them, and their source."""
+    sections = deepcopy(values.sections)
+    overlay(sections, raw)
+    cell = values.cell.source
+    own = key_lines(source.text)
+    elsewhere = tuple((here, there) for here, there in values.locations if here not in own)
+    return sections, replace(cell, included=(*cell.included, source), written_at=elsewhere)

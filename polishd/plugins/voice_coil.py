@@ -8,9 +8,9 @@ from typing import Annotated
 from pydantic import Field
 
 from polishd.api import ActuatorTimes, DeviceContext, DeviceType, ForceActuator, Unpowered, hookimpl
+from polishd.config.device_profile_checks import profile_of
 from polishd.config.fields import ConfigSection
 from polishd.drivers.profile_device import build
-from polishd.drivers.profile_device.build import profile_of
 
 POLISHD_API = 1
 

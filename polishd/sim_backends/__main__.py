@@ -173,6 +173,7 @@ def start_of(options: argparse.Namespace) -> Start:
     seed = options.seed if options.seed is not None else running.get("seed", config.plant.seed)
     speed = options.speed if options.speed is not None else running.get("speed", config.plant.speed)
     only = tuple(options.only or ())
+    config.require_simulated((options.device,) if options.device else only or DEVICES)
     return Start(config, state, int(seed), float(speed), options.surface, options.rebooted, only)
 
 

@@ -98,6 +98,8 @@ class BatchPlant:
 
 def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:
     """Build a plant from the sections of SIM.toml, as JSON."""
+    if "cell" in raw:
+        raise BatchRequestError("cell: a batch plant reads no files; send the sections of sim.toml")
     config = SimConfig.model_validate(raw)
     return BatchPlant(config, config.plant.seed if seed is None else seed)
 

@@ -252,6 +252,10 @@ async def main(runtime: SimRuntime) -> None:
 
 SIM_DEVICES = [
     SimDevice(
-        name="interferometer", device="interferometer", section=SimInterferometerSection, links={"": {}}, main=main
+        name="interferometer",
+        device="interferometer",
+        section=SimInterferometerSection,
+        links={"watched_folder": {}},
+        main=main,
     )
 ]

@@ -17,10 +17,10 @@ from pydantic import ValidationError
 
 from polishd import __version__
 from polishd.config.cell import CellConfig, load_config, overlay
-from polishd.config.simulator import SimConfig
+from polishd.config.simulator import SimConfig, load_plant
 from polishd.config.study import LoopStudy, Scenario, Study
 from polishd.config.sweep import Point, SweepStudy, require_all
-from polishd.config.toml_loader import Location, load_toml, validation_problems
+from polishd.config.toml_loader import Location, validation_problems
 from polishd.model.errors import ConfigError
 
 LIBRARIES = ("numpy", "scipy", "numba")
@@ -125,7 +125,7 @@ class CaseFactory:
     def plant(self, study: LoopStudy, scenario: str) -> dict[str, Any]:
         """Return SIM.toml's sections, overlaid by the study's and the scenario's. ConfigError."""
         path = study.file_of("plant")
-        sections, _ = self._once(f"sim {path}", lambda: load_toml(path))
+        sections, _ = self._once(f"sim {path}", lambda: load_plant(path))
         whole = deepcopy(dict(sections))
         overlay(whole, {name: dict(keys) for name, keys in study.plant_with.items()})
         return laid_over(whole, self.scenarios(study)[scenario])
@@ -138,13 +138,14 @@ class CaseFactory:
     def check_plant(self, study: LoopStudy, scenario: str) -> None:
         """ConfigError at the scenario's, the study's or the sweep's key, where the plant is invalid."""
         path, wrong = study.file_of("plant"), self.scenarios(study)[scenario]
-        _, source = self._once(f"sim {path}", lambda: load_toml(path))
+        _, source = self._once(f"sim {path}", lambda: load_plant(path))
         stands: list[tuple[Location, Location]]
         stands = [((a, b), ("plant", a, b)) for a, keys in wrong.plant.items() for b in keys]
         swept = dict(study.source.written_at)
         for a, keys in study.plant_with.items():
             stands += [((a, b), swept.get(("plant_with", a, b), ("plant_with", a, b))) for b in keys]
-        places = replace(source, included=(study.source, wrong.source), written_at=tuple(stands))
+        included = (*source.included, study.source, wrong.source)
+        places = replace(source, included=included, written_at=(*stands, *source.written_at))
         try:
             SimConfig.model_validate(self.plant(study, scenario))
         except ValidationError as error:

@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from polishd.config.cell import PORTS, CellConfig, load_config
-from polishd.config.fields import as_keys
 from polishd.config.toml_loader import join_words
 from polishd.daemon.assembly import build_cell, require_time_limits
 from polishd.daemon.cell.cell import OPEN_S
@@ -38,20 +37,27 @@ from polishd.util.threads import run_loop
 MODULE = "polishd.sim_backends"
 END_S = 10.0
 SIM = """
+cell = {cell}
 [plant]
 speed = 20.0
-part_id = {part_id}
-{outline}
-origin_mm = {origin_mm}
-rotation_rpy_deg = {rotation_rpy_deg}
+program_offset_mm = [0.0, 0.0, 0.0]
+program_rotation_deg = 0.0
 [robot]
+kind = "link"
 port = 0
 watchdog_s = 60.0
+x_mm = [-150.0, 150.0]
+y_mm = [-150.0, 150.0]
+z_mm = [-2.0, 120.0]
 home = [0.0, 0.0, 0.0, 15.0, 0.0]
+[actuator]
+kind = "modbus_rtu"
+[spindle]
+kind = "slcan"
 """
 """The robot holds the tool's tip on the part, so that the actuator can press on it."""
 ALWAYS = ("robot", "actuator", "spindle")
-"""Default sections of SIM.toml."""
+"""Sections that SIM has."""
 
 
 def require_simulated(config: CellConfig, names: Sequence[str]) -> None:
@@ -74,14 +80,9 @@ def simulated_devices(config: CellConfig, names: Sequence[str], folder: Path) ->
     if not names:
         yield {}
         return
-    part, own = config.part, load_own()
-    sim = folder / "sim.toml"
-    written = {"part_id": part.id}
-    outline = "\n".join(f"{key} = {json.dumps(value)}" for key, value in as_keys(config.outline()).items())
-    placed = {"origin_mm": list(part.origin_mm), "rotation_rpy_deg": list(part.rotation_rpy_deg)}
-    text = SIM.format(outline=outline, **{key: json.dumps(value) for key, value in {**written, **placed}.items()})
-    ports = [port_of(name) for name in names]
-    sim.write_text(text + "".join(f"[{port}]\n" for port in ports if port not in ALWAYS))
+    own, sim, ports = load_own(), folder / "sim.toml", [port_of(name) for name in names]
+    lines = "".join(f'[{port}]\nkind = "tcp"\n' for port in ports if port not in ALWAYS)
+    sim.write_text(SIM.format(cell=json.dumps(str(config.path))) + lines)
     only = [word for port in ports for word in ("--only", port)]
     with _running([str(sim), "--state", str(folder / "sim"), *only]) as endpoints:
         laid_over, plugins = dict[str, Any](), list(config.plugins.load)

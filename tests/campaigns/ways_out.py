@@ -15,22 +15,23 @@ import signal
 import sqlite3
 import threading
 import time
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell, with_values
+from polishd.config.cell import load_config
 from polishd.daemon.journal.checksums import register_checksum
 from polishd.daemon.socket import client
 from polishd.model.errors import LinkError
 from tests.fakes import proxy
 from tests.system.agreement import disagreements, passes
-from tests.system.cell_rig import Daemon, account, events, write_small
+from tests.system.cell_rig import Daemon, account, events, with_keys, write_small
 from tests.system.sim_rig import wait_for
 
 LIFTS_S = (0.5, 4.0, 10.0)
@@ -158,7 +159,8 @@ def measure(way: Way, lift_s: float, folder: Path) -> Cost:
     """Bring a cell into contact, cause it, and read the plant's account once everything rests."""
     files = write_small(folder, patient=False)
     slow = {"retract_s": lift_s + 1.0} if lift_s > 4.0 else {}
-    with _wire(files) as (link, loop):
+    target = urlsplit(load_config(files.cell).robot.model_dump()["address"]).port or 0
+    with _wire(target) as (link, loop):
         cell: dict[str, dict[str, Any]] = {
             "actuator": slow,
             "robot": {"address": f"tcp://127.0.0.1:{link.port}"},
@@ -167,8 +169,8 @@ def measure(way: Way, lift_s: float, folder: Path) -> Cost:
         if slow:
             cell["robot"]["watchdog_s"], cell["job"]["stream_ahead_s"] = lift_s + 4.0, lift_s + 4.0
         files.cell.write_text(with_values(files.cell.read_text(), cell))
-        sim = {"actuator": {"lift_s": lift_s}, "robot": {"watchdog_s": max(lift_s + 4.0, 8.0)}}
-        files.sim.write_text(with_values(files.sim.read_text(), sim))
+        sim = {"actuator": {"lift_s": lift_s}, "robot": {"port": target}}
+        files.sim.write_text(with_keys(files.sim.read_text(), sim))
         options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "1"]
         with simulated_cell(files.sim, options, folder / "sim.stderr"), Daemon(files) as daemon:
             daemon.wait_in_contact(BLOCKS)
@@ -243,9 +245,8 @@ def _as_before(journal: Path) -> Path:
 
 
 @contextmanager
-def _wire(files: DemoFiles) -> Iterator[tuple[proxy.Wire, asyncio.AbstractEventLoop]]:
+def _wire(target: int) -> Iterator[tuple[proxy.Wire, asyncio.AbstractEventLoop]]:
     """The robot behind a wire that can be cut, in a loop of its own."""
-    target = int(tomllib.loads(files.sim.read_text())["robot"]["port"])
     made: list[tuple[proxy.Wire, asyncio.AbstractEventLoop, asyncio.Event]] = []
     ready = threading.Event()
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from polishd.api import ActuatorTimes
 from polishd.config.device_profile import DeviceProfile
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR, profile_of
 from polishd.drivers.profile_device import build
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, profile_of
 from polishd.drivers.profile_device.drives import ProfiledActuator
 from polishd.drivers.transport.address import SerialLine, Tcp
 

@@ -7,7 +7,7 @@ import struct
 from pathlib import Path
 from typing import Literal, Protocol
 
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.drivers.transport.address import SerialLine, Tcp, parse_address
 from tests.system.sim_rig import Cell, wait_for
 

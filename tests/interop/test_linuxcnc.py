@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.drivers.transport.address import SerialLine, Tcp
 from tests.interop import devices as d
 from tests.interop.hal import hal

@@ -11,7 +11,6 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.interop.peers import Peer
 from tests.system.cell_rig import (
     PATIENT,
-    PATIENT_SIM,
     events,
     summary,
     whole_account,
@@ -39,7 +38,6 @@ def write_files(folder: Path, **fault: Any) -> DemoFiles:
     files = write_small(folder, patient=False, tolerance_nm=5.0, max_cycles=1)
     take(files)
     files.cell.write_text(with_keys(files.cell.read_text(), {**PATIENT, "robot": {**PATIENT["robot"], **NO_PROGRESS}}))
-    files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     files.sim.write_text(with_faults(files.sim.read_text(), {"device": "robot", **fault}))
     return files
 

@@ -34,7 +34,6 @@ PATIENT: Sections = {
     "job": {"stream_ahead_s": 12.0},
 }
 """On a busy machine every process is silent for a while: only one that hangs is so for as long as this."""
-PATIENT_SIM: Sections = {"robot": {"watchdog_s": 20.0}}
 
 
 def write_small(
@@ -49,11 +48,10 @@ def write_small(
     assert REPORT in cell
     cell = cell if touch_off else without(cell, "touch_off")
     files.cell.write_text(cell if report else cell.replace(REPORT, ""))
-    sim = {"plant": {"aperture_mm": APERTURE_MM, "pv_nm": 100.0}}
+    sim = {"plant": {"pv_nm": 100.0}}
     files.sim.write_text(with_values(files.sim.read_text(), sim))
     if patient:
         files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
-        files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     forged(files.profile)
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
@@ -65,7 +63,7 @@ def with_part(
 ) -> None:
     """Another part in the same cell, with that surface, and the program that is made for it."""
     files.cell.write_text(with_keys(files.cell.read_text(), {"part": part}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": {**part, **surface}}))
+    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": surface}))
     config = load_config(files.cell)
     config.program_path.write_bytes(make(config))
 

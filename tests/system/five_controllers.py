@@ -18,7 +18,6 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_progr
 from tests.system import linuxcnc_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import (
     PATIENT,
-    PATIENT_SIM,
     Daemon,
     account,
     events,
@@ -106,7 +105,6 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
         again = {"part_handling": {"settle.wait_s": 1.0, "settle.max_maps": 3}}  # where a map is doubted: real seconds
         files.cell.write_text(with_keys(files.cell.read_text(), {**PATIENT, **again}))
         files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
-        files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     elif controller.kind == "universal_robots":
         universal_robots_rig.take(files, cycle_hz=500)
         program = universal_robots_rig.script

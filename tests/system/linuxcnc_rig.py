@@ -135,7 +135,7 @@ def take(files: DemoFiles, turns: Turns = "tool") -> None:
         quick["program"] = {"dialects": ["table.toml"], "format": "table"}
     files.cell.write_text(with_keys(cell, quick))
     coil = {"land_s": 0.1, "lift_s": 0.06, "stick_share": 0.0}
-    robot_keys = {"kind": "linuxcnc", "rotary_axes_carry": turns, "watchdog_s": QUICK_S}
+    robot_keys = {"rotary_axes_carry": turns}
     sim = with_keys(files.sim.read_text(), {"plant": {"speed": 1.0}, "actuator": coil, "robot": robot_keys})
     files.sim.write_text(sim)
 

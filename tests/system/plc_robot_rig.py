@@ -54,7 +54,6 @@ def hand_over(files: DemoFiles, kind: Kind) -> None:
     section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])
     cell = without(files.cell.read_text(), "robot")
     files.cell.write_text(with_keys(f"{cell}\n{section}\n", {"limits": PIT}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"robot": {"kind": kind, "watchdog_s": 20.0}}))
 
 
 @contextlib.contextmanager

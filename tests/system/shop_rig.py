@@ -144,8 +144,6 @@ def write_shop_cell(out: Path, name: str, shop: Shop) -> DemoFiles:
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     cell += f'\n[shop]\nurl = "{shop.url}"\ntoken = "file:shop.token"\nevery_s = {EVERY_S}\n'
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 20.0}, "cell": {"name": name}}))
-    with files.sim.open("a") as sim:
-        sim.write(f"\n[loader]\nport = {port}\n[loader.faults]\n")
     handle = os.open(out / "shop.token", os.O_CREAT | os.O_TRUNC | os.O_WRONLY, 0o600)
     with os.fdopen(handle, "w") as file:
         file.write(shop.token(name))

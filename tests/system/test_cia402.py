@@ -22,7 +22,7 @@ from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, parse_address
 from tests.fakes.cia402 import EDS
 from tests.patience import SOON_S
-from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, with_keys, write_small
+from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, write_small
 from tests.system.sim_rig import ROOT, Cell, cell, end_pid, wait_for
 from tests.system.test_daemon import require_nothing_twice
 from tests.system.test_faults import require_off_the_part
@@ -173,8 +173,6 @@ def test_a_part_is_polished_by_drives_off_the_shelf(tmp_path: Path) -> None:
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     files.cell.write_text(text)
     (files.cell.parent / "drive.eds").write_bytes(EDS.read_bytes())
-    kinds = {"actuator": {"kind": "slcan"}}
-    files.sim.write_text(with_keys(files.sim.read_text(), kinds))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         with Daemon(files) as daemon:

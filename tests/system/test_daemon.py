@@ -128,7 +128,6 @@ def quick_watchdogs_cell(out: Path) -> Iterator[DemoFiles]:
     robot = {"robot": {"silence_s": 2.0, "watchdog_s": 5.0}}
     actuator = {"actuator": {"silence_s": 1.0, "watchdog_ms": 2000, "retract_s": 2.0}}
     files.cell.write_text(with_keys(files.cell.read_text(), {**robot, **actuator}))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"robot": {"watchdog_s": 5.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "4", "--speed", "10"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files

@@ -6,7 +6,6 @@ import json
 import shutil
 import subprocess
 import sys
-import tomllib
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from scipy import stats
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from polishd.config.cell import load_config
+from polishd.config.simulator import load_plant
 from polishd.pipeline.records import EstimatesInUse
 from polishd.studies.closed_loop import ClosedLoop, _Account
 from polishd.studies.plant_client import PlantProcess
@@ -86,12 +86,13 @@ def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -
     files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
     files.cell.write_text(with_keys(files.cell.read_text(), {"process": MACHINE}))
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
-    loop, plain, off = ClosedLoop(files.cell, {}, 2, raster=True, witness="touch"), files.sim.read_text(), list[float]()
+    loop, off = ClosedLoop(files.cell, {}, 2, raster=True, witness="touch"), list[float]()
+    plain, _ = load_plant(files.sim)
     with PlantProcess() as plant:
         for seed in range(PLANTS):
             rate = float(np.clip(np.random.default_rng([seed, 5]).normal(0.0, 0.15), -0.3, 0.35))
             truth = {**PLANT["hidden_truth"], "rate": [rate, rate]}
-            plant.new(tomllib.loads(with_keys(plain, {**PLANT, "hidden_truth": truth})), seed)
+            plant.new({**plain, **PLANT, "hidden_truth": {**plain["hidden_truth"], **truth}}, seed)
             _, begun = loop._begun(plant, _Account())
             assert isinstance(begun, EstimatesInUse), begun
             found = begun.removal.rate

@@ -13,7 +13,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.daemon.socket import client
-from tests.system.cell_rig import PATIENT, PATIENT_SIM, account, events, summary, with_keys
+from tests.system.cell_rig import PATIENT, account, events, summary, with_keys
 from tests.system.linuxcnc_moves import CORNER, END, START
 from tests.system.linuxcnc_rig import ON_RING, Cell, Turns, linuxcnc_cell, write_files
 from tests.system.sim_rig import wait_for
@@ -123,7 +123,6 @@ def test_a_part_on_a_tilting_table_is_polished_as_if_the_tool_were_turned(tmp_pa
     """xyzac-trt-kins: what polishd takes for tip and axis is what the plant finds from the joints; each block once."""
     files = write_files(tmp_path / "cell", turns="table", tolerance_nm=0.01, max_cycles=1)
     files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
-    files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     with linuxcnc_cell(files) as cell:
         with cell.daemon() as daemon:
             assert daemon.wait() == 1, daemon.output.read_text()

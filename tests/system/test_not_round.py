@@ -37,12 +37,9 @@ def write_files(out: Path, name: str) -> DemoFiles:
     files = write_small(out, touch_off=True, tolerance_nm=4.0, max_cycles=3)
     key = OUTLINES[name][0]
     (out / "corners.csv").write_text(CORNERS)
-    corners = [list(map(float, line.split(","))) for line in CORNERS.splitlines()[1:]]
-    in_sim = f"polygon_mm = {corners}" if name == "file" else key
-    for file, said in ((files.cell, key), (files.sim, in_sim)):
-        text = file.read_text()
-        assert text.count("\naperture_mm = 30.0\n") == 1
-        file.write_text(text.replace("\naperture_mm = 30.0\n", f"\n{said}\n"))
+    text = files.cell.read_text()
+    assert text.count("\naperture_mm = 30.0\n") == 1
+    files.cell.write_text(text.replace("\naperture_mm = 30.0\n", f"\n{key}\n"))
     profile = files.profile.read_text()
     files.profile.write_text(profile.replace('by = "none"', 'by = "aperture"').partition("[commissioned]")[0])
     forged(files.profile)

@@ -36,10 +36,6 @@ address = "serial:sim/spindle"
 silence_s = 6.0
 watchdog_s = 6.0
 """
-SIMULATED = {
-    "actuator": f'[actuator]\nkind = "profile"\nbaud = 115200\nprofile = "{DRIVE}"\n',
-    "spindle": f'[spindle]\nkind = "profile"\nwatchdog_s = 6.0\nprofile = "{file_of("delta_ms300")}"\n',
-}
 
 
 def with_section(text: str, name: str, section: str) -> str:
@@ -55,10 +51,6 @@ def profiled_files(out: Path) -> DemoFiles:
     cell = files.cell.read_text()
     cell = with_section(with_section(cell, "actuator", ACTUATOR), "spindle", SPINDLE)
     files.cell.write_text(cell)
-    sim = files.sim.read_text()
-    for name, section in SIMULATED.items():
-        sim = with_section(sim, name, section)
-    files.sim.write_text(sim)
     return files
 
 

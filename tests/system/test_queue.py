@@ -38,7 +38,7 @@ def write_queue_cell(out: Path, **faults: list[str]) -> DemoFiles:
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 8.0}}))
     told = "".join(f"{name} = {json.dumps(parts)}\n" for name, parts in faults.items())
     with files.sim.open("a") as sim:
-        sim.write(f"\n[loader]\nport = {port}\n[loader.faults]\n{told}")
+        sim.write(f"\n[loader.faults]\n{told}")
     return files
 
 

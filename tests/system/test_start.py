@@ -37,8 +37,7 @@ def test_a_pass_that_was_killed_goes_on_though_its_run_folder_was_deleted(tmp_pa
 def test_a_robot_that_still_serves_somebody_is_waited_for_and_status_says_so(tmp_path: Path) -> None:
     """Its watchdog is long: the lease goes when the other client hangs up, not because this machine is slow."""
     files = write_small(tmp_path / "cell")
-    for path in (files.cell, files.sim):
-        path.write_text(with_keys(path.read_text(), {"robot": {"watchdog_s": 120.0}}))
+    files.cell.write_text(with_keys(files.cell.read_text(), {"robot": {"watchdog_s": 120.0}}))
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "2"], files.out / "sim.stderr"):
         other = RobotClient(json.loads((files.sim_dir / "endpoints.json").read_text())["robot"], role="writer")
         with Daemon(files) as daemon:

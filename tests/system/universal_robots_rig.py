@@ -44,10 +44,8 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0, cycl
     cell = files.cell.read_text().replace('type = "robot_link"', 'type = "universal_robots"')
     cell = with_keys(cell, {"robot": {"silence_s": 3.0, "watchdog_s": watchdog_s, **keys}})
     cell = cell.replace('format = "rs274"', 'format = "urscript"')
-    files.cell.write_text(cell.replace('"rnc_robot", ', '"rnc_robot", "universal_robots", '))
-    robot = {"kind": "universal_robots", "cycle_hz": cycle_hz, "port": rtde}
-    robot.update(dashboard_port=dashboard, primary_port=primary)
-    sim = with_keys(files.sim.read_text(), {"robot": robot})
+    files.cell.write_text(cell)
+    sim = with_keys(files.sim.read_text(), {"robot": {"cycle_hz": cycle_hz}})
     cut = {"device": "robot", "link": "rtde", "what": "unplug", "every_s": cut_s}
     files.sim.write_text(with_faults(sim, *([cut] if cut_s else [])))
 

@@ -1,9 +1,9 @@
-"""What is gathered of a cell before anything is written: SIM.toml's values with their origins, the cell's changes."""
+"""Differences between a rehearsal and its cell, before the files are written; its folder."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,9 @@ import tomlkit
 
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.cell import FILES, CellConfig, device_options, overlay
-from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
+from polishd.config.simulator_cell import KINDS, SECTIONS
+from polishd.config.toml_loader import join_words
+from polishd.drivers.transport.address import SerialLine, SlcanAddress, Tcp, parse_address
 from polishd.hookspecs import DeviceType
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -22,6 +24,8 @@ from polishd.util.files import require_writable
 from polishd.util.serialization import toml
 
 LOOPBACK = "127.0.0.1"
+REQUEST = "measure.request"
+"""File that asks the simulated instrument for a map."""
 SIM_STATE = "sim"
 """The simulator's state folder, beside SIM.toml."""
 
@@ -33,33 +37,17 @@ class RehearsalDraft:
     config: CellConfig
     hooks: Hooks
     sim: dict[str, dict[str, tuple[Any, str]]] = field(default_factory=dict)
-    """SIM.toml: by section and key a value, and where it comes from."""
+    """sim.toml: by section and key a value, and the comment behind it."""
     laid: dict[str, Any] = field(default_factory=dict)
-    """What the rehearsal's cell has else than the cell, by dotted key; None: the key is taken out."""
+    """Changed values of the rehearsal's cell by dotted key; None: the key is removed."""
     notes: list[str] = field(default_factory=list)
-    """What the simulator cannot be, and what stands in for it."""
+    """Differences between the simulated cell and the real one."""
     files: dict[str, bytes] = field(default_factory=dict)
-    """What both refer to, by name in the folder."""
+    """Files that the rehearsal's cell names, by name in the folder."""
 
-    def put(self, section: str, key: str, value: Any, origin: str) -> None:
-        """A value of SIM.toml; one that is None is left out."""
-        table = self.sim.setdefault(section, {})
-        if value is not None:
-            table[key] = (value, origin)
-
-    def take(self, section: str, keys: Sequence[str], given: str, values: Any) -> None:
-        """Values of SIM.toml that the cell's section ``given`` has under the same names."""
-        for key in keys:
-            self.put(section, key, getattr(values, key), self.origin(f"{given}.{key}"))
-
-    def origin(self, key: str) -> str:
-        """Where the cell has a value: its key, and the fragment, or that it is a default."""
-        inner: Any = self.config.raw
-        for name in key.split("."):
-            inner = inner.get(name) if isinstance(inner, Mapping) else None
-        if inner is None:
-            return f"{key}, its default"
-        return f"{key} of {self.config.included[key]}" if key in self.config.included else key
+    def put(self, section: str, key: str, value: Any, comment: str) -> None:
+        """A value of sim.toml, and the comment behind it."""
+        self.sim.setdefault(section, {})[key] = (value, comment)
 
     def options(self, device: str) -> dict[str, Any]:
         """A device's options with their defaults, as its type judges them; ConfigError as of the cell."""
@@ -86,58 +74,81 @@ class RehearsalDraft:
         self._load_plugin(own.plugin_of("polishd_device_types", substitute.name))
 
     def instead(self, key: str, value: Any, why: str) -> None:
-        """The rehearsal's cell has another value than the cell, and says so; None: none."""
+        """Replace a value of the cell, with a note; None: the key is left out."""
         self.laid[key] = value
-        said = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
-        self.notes.append(f"{key}: {why}; it {said}")
+        state = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
+        self.notes.append(f"{key}: {why}; it {state}")
 
     def _load_plugin(self, name: str) -> None:
         loaded = self.laid.get("plugins.load", list(self.config.plugins.load))
         if name not in loaded:
             self.laid["plugins.load"] = [*loaded, name]
 
-    def copy(self, name: str, path: Path) -> str:
-        """A file goes into the folder; its name there."""
-        self.files[name] = path.read_bytes()
-        return name
 
-
-# A simulated device's address: of the same kind as the cell's, on this computer.
-
-
-def wire(
-    draft: RehearsalDraft, device: str, port_name: str, address: str
-) -> Tcp | SerialLine | SlcanAddress | SocketcandAddress:
-    """Lay the simulated device's address over the cell's; the cell's own, read. ConfigError where it is none."""
+def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
+    """Give a device an address of the same kind on this computer. Raise ConfigError if its own is not an address."""
     real = parse_address(address, draft.config.base_dir)
     query = urlsplit(address).query
     if isinstance(real, SerialLine | SlcanAddress):
-        scheme = address.partition(":")[0]
-        draft.laid[f"{device}.address"] = f"{scheme}:{SIM_STATE}/{port_name}" + (f"?{query}" if query else "")
-        return real
-    port = free_port()
-    draft.put(port_name, "port", port, "free on this computer")
-    at = f"{LOOPBACK}:{port}"
-    draft.laid[f"{device}.address"] = f"tcp://{at}" if isinstance(real, Tcp) else f"socketcand://{at}/{real.channel}"
-    return real
+        path = f"{address.partition(':')[0]}:{SIM_STATE}/{port_of(device)}"
+        lay_address(draft, device, path + (f"?{query}" if query else ""))
+        return
+    at = f"{LOOPBACK}:{free_port()}"
+    lay_address(draft, device, f"tcp://{at}" if isinstance(real, Tcp) else f"socketcand://{at}/{real.channel}")
 
 
-# The two files as text: SIM.toml with the origin behind each value, and the cell's own file with few of its values.
+def lay_address(draft: RehearsalDraft, device: str, address: str) -> None:
+    """Give a device of the rehearsal's cell this address, and its simulated device what the cell does not say."""
+    draft.laid[f"{device}.address"] = address
+    url = urlsplit(address)
+    if put_kind(draft, device, is_serial=url.scheme in {"serial", "slcan"}) and url.port is not None:
+        draft.put(port_of(device), "port", url.port, f"{device}.address")
+
+
+def put_kind(draft: RehearsalDraft, device: str, *, is_serial: bool = False) -> bool:
+    """Put the `kind` of another plugin's device into sim.toml. Return False for a type of polishd's.
+
+    Raises:
+        ConfigError: its type names a simulated device with several protocols.
+    """
+    own, one = load_own(), draft.device_type(device)
+    if one.name in KINDS:
+        return False
+    same = [name for name, shipped in own.device_types().items() if is_like(shipped, one)]
+    kinds = {KINDS[name][not is_serial] for name in same} - {""}
+    if len(kinds) > 1 or (same and not kinds):
+        several = sorted({kind for name in same for kind in KINDS[name]} - {""})
+        raise draft.config.error(
+            f"{device}.type",
+            f"{one.name!r} is simulated by {one.simulated_by!r}, which has several protocols; the plugin must name one "
+            f"as simulated_by: {join_words(several)}",
+        )
+    draft.put(SECTIONS.get(one.port, one.port), "kind", kinds.pop() if kinds else one.simulated_by, f"{device}.type")
+    return True
+
+
+def is_like(shipped: DeviceType, one: DeviceType) -> bool:
+    """Return whether a type of polishd's has the simulated device of another."""
+    return shipped.name in KINDS and (shipped.port, shipped.simulated_by) == (one.port, one.simulated_by)
+
+
+# The two files as text: sim.toml, and the cell's own file with few of its values.
 
 COLUMN = 45
 """In which comments begin, where a value leaves room."""
 
 
-def sim_text(draft: RehearsalDraft) -> str:
-    """SIM.toml."""
+def sim_text(draft: RehearsalDraft, cell: str) -> str:
+    """Return sim.toml for the rehearsal's cell, which has that file name."""
     lines = [
         f"# Made by polishd rehearse {draft.config.path}: the simulated cell of {draft.config.cell.name}.",
-        "# Behind each value: the key of the cell that it comes from. All keys: docs/reference/simulator.md",
+        "# Other values come from the cell. All keys: docs/reference/simulator.md",
         *(f"# {note}" for note in draft.notes),
+        f"cell = {toml(cell)}",
     ]
     for section, values in draft.sim.items():
         lines += ["", f"[{section}]"]
-        lines += [f"{f'{key} = {toml(value)}':<{COLUMN}} # {origin}" for key, (value, origin) in values.items()]
+        lines += [f"{f'{key} = {toml(value)}':<{COLUMN}} # {comment}" for key, (value, comment) in values.items()]
     return "\n".join(lines) + "\n"
 
 

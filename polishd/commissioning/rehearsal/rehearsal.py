@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,16 +10,16 @@ from pathlib import Path
 
 from polishd.commissioning.rehearsal.devices import (
     add_actuator,
-    add_force_sensor,
-    add_loader,
+    add_line,
     add_monitors,
     add_robot,
     add_spindle,
 )
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text, usual_folder
-from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_kinematics, add_part, add_process
+from polishd.commissioning.rehearsal.part import PROFILE, add_instrument, add_part, note_process
 from polishd.commissioning.rehearsal.simulated_cell import measure_artefact, run_simulator
 from polishd.config.cell import CellConfig, load_config
+from polishd.config.simulator import require_simulated
 from polishd.maps.commission import prove_profile
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -38,8 +39,8 @@ ONE_OF_A_PORT: dict[str, Callable[[RehearsalDraft, str], None]] = {
     "actuator": add_actuator,
     "spindle": add_spindle,
     "metrology": add_instrument,
-    "loader": add_loader,
-    "force_sensor": add_force_sensor,
+    "loader": add_line,
+    "force_sensor": add_line,
 }
 
 
@@ -50,7 +51,7 @@ class Rehearsal:
     sim: Path
     cell: Path
     notes: tuple[str, ...]
-    """What the simulator is not, and what stands in for it."""
+    """Differences between the simulated cell and the real one."""
 
 
 def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
@@ -122,14 +123,15 @@ def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, flo
 
 def _write(draft: RehearsalDraft, folder: Path, own: str) -> None:
     """All files; ConfigError where what is written would be no simulated cell."""
-    texts = {SIM: sim_text(draft), own: cell_text(draft)}
+    texts = {SIM: sim_text(draft, own), own: cell_text(draft)}
     for name, content in {**draft.files, **{name: text.encode() for name, text in texts.items()}}.items():
         write_atomic(folder / name, content)
     load_config(folder / own)
     try:
+        require_simulated(folder / SIM)
         measure_artefact(folder / SIM, folder / ARTEFACT)
     except ConfigError as error:
-        wrong = "; ".join(line.split(f"{SIM}:", 1)[-1].split(": ", 1)[-1] for line in str(error).splitlines())
+        wrong = "; ".join(re.sub(r"^.*?\.toml(:\d+)?: ", "", line) for line in str(error).splitlines())
         raise ConfigError(f"{draft.config.path}: there is no simulated cell like this: {wrong}") from error
     prove_profile(folder / PROFILE, folder / ARTEFACT)
 
@@ -139,14 +141,10 @@ def draft_rehearsal(config: CellConfig, hooks: Hooks) -> RehearsalDraft:
     draft = RehearsalDraft(config, hooks)
     used = _used(draft)
     add_part(draft, draft.device_type(used["robot"]).simulation_speed)
-    add_process(draft)
-    add_kinematics(draft)
+    note_process(draft)
     for port, add in ONE_OF_A_PORT.items():
         if port in used:
             add(draft, used[port])
-    for port in ("loader", "force_sensor"):
-        if port in used:
-            draft.sim.setdefault(port, {})
     if monitors := [name for name in config.devices if port_of(name) == "monitor"]:
         add_monitors(draft, monitors)
     _add_folders(draft)

@@ -73,7 +73,7 @@ def last_words(log: Path, lines: int = 5) -> str:
     return "\n".join(log.read_text(errors="replace").splitlines()[-lines:]) or "it said nothing"
 
 
-# The files of a demo: a cell, a simulated cell that hides another truth, and a raster program.
+# The files of a demo: a cell, what is true of its simulated machine, and a raster program.
 
 SURFACE_PERIOD_MM = 7.0
 """Twice the spot's diameter: no dwell reaches shorter periods."""
@@ -111,17 +111,16 @@ def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int
         period = SURFACE_PERIOD_MM
     files = DemoFiles(out)
     out.mkdir(parents=True, exist_ok=True)
-    port = free_port()
     values: dict[str, Mapping[str, Any]] = {
         "cell": {"run_dir": "run"},
-        "robot": {"address": f"tcp://127.0.0.1:{port}"},
+        "robot": {"address": f"tcp://127.0.0.1:{free_port()}"},
         "instrument": {"profile": files.profile.name},
         "part": part,
         "process": {"correction": correction} if correction else {},
         "job": {"tolerance_nm": tolerance_nm, "max_cycles": cycles, "tolerance_period_mm": period},
     }
     files.cell.write_text(with_values(_shipped("cell.toml"), values))
-    files.sim.write_text(with_values(_shipped("sim.toml"), {"plant": part, "robot": {"port": port}}))
+    files.sim.write_text(_shipped("sim.toml"))
     files.profile.write_text(_shipped("instrument.toml"))
     (out / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     config = load_config(files.cell)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from polishd.api import ActuatorTimes, ConfigError, PolishdError, SensorTimes, SpindleTimes
 from polishd.config.device_profile import DeviceProfile, ModbusTable, Quantity, Value, write_of
-from polishd.config.device_profile_checks import ORDERS, load_device_profile
-from polishd.config.toml_loader import did_you_mean, join_words
+from polishd.config.device_profile_checks import ORDERS
 from polishd.drivers.profile_device import codec
 from polishd.drivers.profile_device.codec import Values
 from polishd.drivers.profile_device.device import ProfileTransport
@@ -65,29 +64,6 @@ def force_sensor(
     """Build a force sensor; opens nothing."""
     times = times or SensorTimes()
     return ProfiledForceSensor(wire_of(profile, address, times.silence_s, unit=unit), times)
-
-
-# Profiles: polishd's by name, the user's by file.
-
-DEVICE_PROFILE_DIR = Path(__file__).with_name("profiles")
-
-
-def shipped() -> list[str]:
-    """Names of polishd's profiles, sorted."""
-    return sorted(path.stem for path in DEVICE_PROFILE_DIR.glob("*.toml"))
-
-
-def profile_of(name: str, base_dir: Path) -> DeviceProfile:
-    """Read the profile of that name, or a ``.toml`` file relative to ``base_dir``; ConfigError names file and key."""
-    if name.endswith(".toml"):
-        return load_device_profile(base_dir / Path(name).expanduser())
-    known = shipped()
-    if name not in known:
-        hint = (
-            f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
-        )
-        raise ConfigError(f"profile {name!r} is not known{hint}")
-    return load_device_profile(DEVICE_PROFILE_DIR / f"{name}.toml")
 
 
 # Effect of a profile: the requests on the link, and the meaning of raw values. Opens nothing.

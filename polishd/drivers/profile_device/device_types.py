@@ -19,9 +19,9 @@ from polishd.api import (
     SpindleTimes,
 )
 from polishd.config.device_profile import DeviceProfile, Kind
+from polishd.config.device_profile_checks import profile_of
 from polishd.config.fields import ConfigSection
 from polishd.drivers.profile_device import build
-from polishd.drivers.profile_device.build import profile_of
 
 A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_sensor": "a force sensor"}
 Seconds = Annotated[float, Field(gt=0.0, le=120.0)]

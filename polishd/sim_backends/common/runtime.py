@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator import SimConfig
-from polishd.config.toml_loader import load_toml
+from polishd.config.simulator import SimConfig, load_simulator
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.faults import FaultScript, require_possible
 from polishd.sim_backends.common.registry import config_model
@@ -134,8 +133,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 def read_config(path: Path) -> SimConfig:
     """Read SIM.toml. ConfigError, too, where it scripts a fault that its device or link cannot have."""
-    raw, source = load_toml(path)
-    config = config_model(raw).of(raw, source)
+    config = load_simulator(path, config_model)
     require_possible(config)
     return config
 
@@ -155,7 +153,7 @@ class Start:
 
     def again(self) -> Start:
         """Return the start with the present content of SIM.toml."""
-        return changed(self, config=read_config(Path(self.config.source.file)))
+        return changed(self, config=read_config(self.config.path))
 
 
 @dataclass(slots=True)

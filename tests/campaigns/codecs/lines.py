@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.api import PlainLines
+from polishd.config.device_profile_checks import profile_of
 from polishd.drivers.linuxcnc.protocol import AXES, RshConnection
 from polishd.drivers.loader_line import LoaderLine
 from polishd.drivers.monitor_line import MonitorLine
@@ -89,7 +90,7 @@ class Sampled(Numbered):
             raise
 
 
-PROFILE = build.profile_of("force_sensor_line", Path())
+PROFILE = profile_of("force_sensor_line", Path())
 
 
 class ForceSensor(Sampled):

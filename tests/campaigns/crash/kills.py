@@ -37,7 +37,6 @@ QUICK = {
     "job": {"stream_ahead_s": 3.0},
 }
 """Real time, as short as a busy machine allows: one that is too slow for it leaves contact, which is an attack, too."""
-QUICK_SIM = {"robot": {"watchdog_s": 3.0}, "spindle": {"watchdog_s": 1.0}}
 STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
 CLAIMED = re.compile(r": touched in (\S+) s; the plant saw (\S+) s$")
@@ -223,10 +222,9 @@ def attacked_cell(folder: Path, seed: int) -> Iterator[Site]:
     """A cell whose watchdogs are quick, running."""
     files = write_small(folder, patient=False, tolerance_nm=0.01, max_cycles=100)
     files.cell.write_text(with_keys(files.cell.read_text(), QUICK))
-    files.sim.write_text(with_values(with_keys(files.sim.read_text(), QUICK_SIM), {"actuator": {"lift_s": 4.0}}))
+    files.sim.write_text(with_values(files.sim.read_text(), {"actuator": {"lift_s": 4.0}}))
     port = _port()
     files.cell.write_text(with_values(files.cell.read_text(), {"robot": {"address": f"tcp://127.0.0.1:{port}"}}))
-    files.sim.write_text(with_values(files.sim.read_text(), {"robot": {"port": port}}))
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{SPEED:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         site = Site(files)

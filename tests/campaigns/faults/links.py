@@ -128,7 +128,7 @@ def _actuator(folder: Path, kind: str) -> DemoFiles:
     port = free_port()
     tcp = {"address": f"tcp://127.0.0.1:{port}"}
     cell = {"actuator": {**SILENT["actuator"], **(tcp if kind == "modbus_tcp" else {})}}
-    files = _small(folder, cell, {"actuator": {"kind": kind, **({"port": port} if kind == "modbus_tcp" else {})}})
+    files = _small(folder, cell)
     if kind == "serial":
         files.cell.write_text(with_values(files.cell.read_text(), {"actuator": {"type": "voice_coil_serial"}}))
         files.cell.write_text(files.cell.read_text().replace("unit = 1\n", ""))
@@ -138,13 +138,13 @@ def _actuator(folder: Path, kind: str) -> DemoFiles:
 def _spindle(folder: Path) -> DemoFiles:
     port = free_port()
     cell = {"spindle": {**SILENT["spindle"], "address": f"socketcand://127.0.0.1:{port}/can0"}}
-    return _small(folder, cell, {"spindle": {"kind": "socketcand", "port": port}})
+    return _small(folder, cell)
 
 
 def _cia402(folder: Path) -> DemoFiles:
     """Both drives off the shelf."""
-    files = _small(folder, sim={"actuator": {"kind": "slcan"}})
-    text = files.cell.read_text().replace('"voice_coil", ', "", 1)
+    files = _small(folder)
+    text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
         text = re.sub(rf"^\[{section}\].*?(?=^\[)", f"{ours}\n", text, flags=re.MULTILINE | re.DOTALL)
     prompt = {"actuator": {"silence_s": SILENCE_S, "watchdog_s": 2.0, "travel_mm_s": 2.0}, "spindle": SILENT["spindle"]}

@@ -12,8 +12,8 @@ from typing import Any
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.campaigns.faults import links as f
 from tests.system import linuxcnc_rig, plc_robot_rig
-from tests.system.cell_rig import PATIENT, PATIENT_SIM, Daemon, Sections, with_faults, with_keys, write_small
-from tests.system.test_profiled_cell import ACTUATOR, SIMULATED, with_section
+from tests.system.cell_rig import PATIENT, Daemon, Sections, with_faults, with_keys, write_small
+from tests.system.test_profiled_cell import ACTUATOR, with_section
 
 Fault = Mapping[str, Any]
 
@@ -99,7 +99,6 @@ def _linuxcnc(folder: Path) -> DemoFiles:
     files = write_small(folder, patient=False, **JOB)
     linuxcnc_rig.take(files)
     files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
-    files.sim.write_text(with_keys(files.sim.read_text(), PATIENT_SIM))
     return files
 
 
@@ -107,7 +106,6 @@ def _profiled(folder: Path) -> DemoFiles:
     files = write_small(folder, **JOB)
     cell = files.cell.read_text()
     files.cell.write_text(with_section(cell, "actuator", ACTUATOR))
-    files.sim.write_text(with_section(files.sim.read_text(), "actuator", SIMULATED["actuator"]))
     return files
 
 

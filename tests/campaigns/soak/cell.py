@@ -38,7 +38,6 @@ QUICK = {
     "job": {"stream_ahead_s": 8.0},
 }
 """Real time: longer than a busy machine keeps a process waiting, short enough for a fault to cost seconds only."""
-QUICK_SIM = {"robot": {"watchdog_s": 10.0}, "spindle": {"watchdog_s": 3.0}}
 REPEATABILITY_NM = 0.3
 """Stated in the instrument's profile; it is the noise of the simulated maps."""
 
@@ -187,8 +186,8 @@ def write_cell(folder: Path) -> DemoFiles:
     cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
-    sim = with_faults(files.sim.read_text()) + f"\n[loader]\nport = {port}\n\n[loader.faults]\n"
-    files.sim.write_text(with_keys(sim, QUICK_SIM))
+    sim = with_faults(files.sim.read_text()) + "\n[loader.faults]\n"
+    files.sim.write_text(sim)
     profile = files.profile.read_text().partition("\n[commissioned]")[0]  # which a test may forge; here it is proved
     files.profile.write_text(with_keys(profile, {"repeatability": {"rms_nm": REPEATABILITY_NM}}))
     return files

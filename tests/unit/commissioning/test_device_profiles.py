@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, shipped
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR, shipped
 from tests.fakes.devices_by_profile import file_of
 from tests.unit.said import Polishd
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from polishd.commissioning.device_profiles import TEMPLATES
-from polishd.config.device_profile_checks import load_device_profile
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR, profile_of, shipped
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR, load_device_profile, profile_of, shipped
 from polishd.model.errors import ConfigError
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"

@@ -13,6 +13,7 @@ import pytest
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR as CONTROLLERS
 from polishd.config.controller_profile import load_controller_profile
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR as DEVICES
 from polishd.config.device_profile_checks import load_device_profile
 from polishd.config.instrument_profile import load_profile
 from polishd.config.job_file import JobFile
@@ -20,7 +21,6 @@ from polishd.config.simulator import load_simulator
 from polishd.config.study import load_scenario
 from polishd.config.sweep import load_swept
 from polishd.config.toml_loader import MOST_LEVELS
-from polishd.drivers.profile_device.build import DEVICE_PROFILE_DIR as DEVICES
 from polishd.model.errors import ConfigError
 from tests.unit.said import Polishd
 

@@ -45,6 +45,7 @@ def test_a_cell_file_with_an_old_key_is_refused_with_the_new_one(tmp_path: Path,
 
 
 def test_a_simulator_file_with_an_old_key_is_refused_with_the_new_one(tmp_path: Path) -> None:
+    (tmp_path / "cell.toml").write_text((EXAMPLES / "cell.toml").read_text())
     path = tmp_path / "sim.toml"
     path.write_text(with_section((EXAMPLES / "sim.toml").read_text(), "[truth]"))
     with pytest.raises(ConfigError, match="truth: was renamed: write hidden_truth"):

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from polishd.config.simulator import SimConfig
+from polishd.config.simulator_cell import KINDS, SECTIONS
 from polishd.model.errors import ConfigError
 from polishd.plugin_loader import load_own
 from polishd.sim_backends.common.registry import SimDevice, find_device, sim_devices
 from polishd.sim_backends.common.runtime import read_config
 
-SECTIONS = {"metrology": "interferometer"}
-"""Sections of SIM.toml that have another name than the port."""
-KINDS = [(device, kind) for device in sim_devices() for kind in device.links if kind]
+OWN = load_own().device_types()
+BY_KIND = [(device, kind) for device in sim_devices() for kind in device.links]
 
 
 def test_each_device_type_names_a_simulated_device_of_its_port() -> None:
@@ -38,10 +38,19 @@ def test_a_port_has_one_substitute_at_most() -> None:
         assert kind.simulated_by
 
 
-@pytest.mark.parametrize(("device", "kind"), KINDS, ids=[f"{device.name}-{kind}" for device, kind in KINDS])
+@pytest.mark.parametrize(("device", "kind"), BY_KIND, ids=[f"{device.name}-{kind}" for device, kind in BY_KIND])
 def test_a_section_finds_its_device(device: SimDevice, kind: str, tmp_path: Path) -> None:
     (tmp_path / "sim.toml").write_text(f'[{device.device}]\nkind = "{kind}"\n')
     assert find_device(read_config(tmp_path / "sim.toml"), device.device) is device
+
+
+@pytest.mark.parametrize("name", sorted(KINDS | {k: v for k, v in OWN.items() if v.simulated_by}))
+def test_the_simulator_finds_the_device_of_each_shipped_type(name: str) -> None:
+    """The table of kinds and the registration agree."""
+    kind, section = OWN[name], SECTIONS.get(OWN[name].port, OWN[name].port)
+    links = {k for one in sim_devices() if (one.name, one.device) == (kind.simulated_by, section) for k in one.links}
+    assert links
+    assert {k for k in KINDS[name] if k} <= links
 
 
 def test_the_default_cell_has_all_its_devices() -> None:

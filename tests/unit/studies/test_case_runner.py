@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import typer
 
+from polishd.config.simulator import load_plant
 from polishd.config.study import LoopStudy, load_study
 from polishd.config.sweep import load_swept
-from polishd.config.toml_loader import load_toml
 from polishd.model.errors import ComputeError, ConfigError, PolishdError
 from polishd.studies import case_runner, plant_client
 from polishd.studies.case_runner import CaseRunner, LoopRows, run_of
@@ -164,7 +164,7 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
 def test_every_shipped_scenario_is_another_plant() -> None:
     study = load_study(EXAMPLES / "scenarios.toml")
     assert isinstance(study, LoopStudy)
-    sections, _ = load_toml(EXAMPLES / "sim.toml")
+    sections, _ = load_plant(EXAMPLES / "sim.toml")
     drawn: dict[str, str] = {}
     with PlantProcess() as plant:
         for name, scenario in study.all_scenarios().items():

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from polishd.config.simulator import load_plant
 from polishd.config.study import LoopStudy, load_study
-from polishd.config.toml_loader import load_toml
 from polishd.model.errors import ConfigError
 from polishd.studies.cases import laid_over
 from polishd.studies.closed_loop import ClosedLoop, _Account
@@ -51,7 +51,7 @@ def study(folder: Path, loops: str) -> LoopStudy:
 @pytest.mark.full
 def test_its_rate_and_its_spot_are_those_of_the_machine(tmp_path: Path) -> None:
     of = study(tmp_path, '[controllers.exact]\nwitness = "rate"\n[controllers.static]\nwitness = "spot"\n')
-    sections, _ = load_toml(EXAMPLES / "sim.toml")
+    sections, _ = load_plant(EXAMPLES / "sim.toml")
     (scenario,) = of.all_scenarios().values()
     sections = {**sections, **of.plant_with, "plant": {**sections["plant"], **of.plant_with["plant"]}}
     with PlantProcess() as plant:

@@ -17,12 +17,13 @@ from polishd.cli.app import app
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text
 from polishd.commissioning.rehearsal.rehearsal import draft_rehearsal, write_rehearsal
 from polishd.config.cell import load_config
+from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.config.table_files import write_tif
-from polishd.config.toml_loader import TomlSource
+from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, SerialRobot
-from polishd.plugin_loader import load_cell
+from polishd.plugin_loader import Hooks, load_cell
 from tests.system.cell_rig import with_keys
 
 EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
@@ -50,10 +51,15 @@ def made(folder: Path, text: str) -> RehearsalDraft:
 
 
 def sim_of(draft: RehearsalDraft, folder: Path) -> SimConfig:
-    for name, content in draft.files.items():
-        (folder / name).write_bytes(content)
-    text = sim_text(draft)
-    return SimConfig.of(tomllib.loads(text), TomlSource(str(folder / "sim.toml"), text))
+    """What the simulator reads of the files that would be written."""
+    written = folder / "written"
+    written.mkdir(exist_ok=True)
+    texts = {"cell.toml": cell_text(draft).encode(), "sim.toml": sim_text(draft, "cell.toml").encode()}
+    for name, content in {**draft.files, **texts}.items():
+        (written / name).write_bytes(content)
+    sim = load_simulator(written / "sim.toml")
+    sim.require_simulated()
+    return sim
 
 
 def changed(draft: RehearsalDraft, folder: Path) -> dict[str, Any]:
@@ -77,7 +83,7 @@ def robot(section: str) -> str:
 
 
 def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None:
-    """Also where a fragment of a calibration says it; and each value has its origin behind it."""
+    """Also where a fragment of a calibration has it; sim.toml has none of it."""
     calibrated = {"limb_stiffness_n_per_mm": 16.5e3, "a_stiffness_n_mm_per_rad": 5.1e7}
     lines = "\n".join(f"{key} = {value}" for key, value in calibrated.items())
     (tmp_path / "calibration.toml").write_text(f"[kinematics]\n{lines}\n")
@@ -90,11 +96,7 @@ def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None
     assert (plant.origin_mm, plant.rotation_rpy_deg) == ((300.0, 220.0, 2315.0), (180.0, 0.0, 0.0))
     assert (tool.preston_cm2_per_n, tool.tool_radius_mm, tool.normal_force) == (2.2e-9, 40.0, "resolved")
     assert sim.robot_model() == replace(HybridRobot(), **calibrated) == draft.config.robot_model()
-    told = sim_text(draft)
-    assert "limb_stiffness_n_per_mm = 16500.0" in told
-    assert f"# kinematics.limb_stiffness_n_per_mm of {tmp_path / 'calibration.toml'}" in told
-    assert "conic = -0.5                                  # part.conic\n" in told
-    assert all("#" in line for line in told.splitlines() if " = " in line)
+    assert set(tomllib.loads(sim_text(draft, "cell.toml"))) == {"cell", "plant", "hidden_truth", "robot"}
 
 
 @pytest.mark.parametrize(
@@ -106,7 +108,6 @@ def test_a_part_that_is_not_round_is_not_in_the_simulator_either(tmp_path: Path,
     played, real = sim_of(draft, tmp_path).plant.outline, draft.config.outline()
     assert played.corners().tolist() == real.corners().tolist()
     assert played.area_mm2 == real.area_mm2
-    assert f"# part.{said.split(' ', maxsplit=1)[0]}\n" in sim_text(draft)
 
 
 def test_the_part_starts_as_one_that_the_job_may_polish(tmp_path: Path) -> None:
@@ -129,7 +130,7 @@ def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(
         "spindle.eds": str(tmp_path / "drive.eds"),
     }
     assert "in the robot's base frame" in cell_text(draft), "comments stay"
-    assert draft.notes == ["instrument.profile: there is none; that of polishd demo stands in for it"]
+    assert draft.notes == ["instrument.profile: there is none; the rehearsal has that of polishd demo"]
 
 
 @pytest.mark.full
@@ -212,7 +213,7 @@ def test_drives_by_profile_and_on_canopen_and_what_the_simulated_ones_count_in(t
     sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
     assert (sim.actuator.kind, sim.actuator.node) == ("slcan", 9)
     assert (sim.spindle.kind, sim.spindle.unit, sim.spindle.pole_pairs) == ("profile", 3, 2)
-    assert (tmp_path / sim.spindle.profile).read_text() == draft.files["spindle.profile.toml"].decode()
+    assert sim.resolve(sim.spindle.profile).samefile(DEVICE_PROFILE_DIR / "delta_ms300.toml")
     assert other["actuator.n_per_permille"] == 0.05
     assert other["touch_off.position_mm"] == 5.0
     assert other["actuator.address"] == "slcan:sim/actuator?bitrate=500000"
@@ -243,7 +244,7 @@ def test_of_several_devices_the_jobs_own_is_simulated_and_the_others_are_left_ou
     assert other["robot.left.address"].startswith("tcp://127.0.0.1:")
     assert other["robot.right"] is None
     assert "robot.right: the simulator has one robot; it is left out" in draft.notes
-    assert draft.sim["robot"]["kind"][0] == "link"
+    assert sim_of(draft, tmp_path).robot.kind == "link"
 
 
 @pytest.mark.full
@@ -272,6 +273,52 @@ def test_maps_lie_as_the_cells_profile_says(tmp_path: Path) -> None:
     assert "serials" not in tomllib.loads(draft.files["instrument.toml"].decode())
     assert len(draft.notes) == 1
     assert draft.notes[0].startswith("serials of instrument.profile: ")
+
+
+class OtherTypes(Hooks):
+    """The cell's plugins, and one more with a copy of each type, ``other_NAME``."""
+
+    simulated_by = ""
+    """Simulated device of the copies; empty: that of the original."""
+
+    def device_types(self) -> dict[str, DeviceType]:
+        own = super().device_types()
+        copies = {f"other_{name}": one for name, one in own.items()}
+        named = {name: self.simulated_by or one.simulated_by for name, one in copies.items()}
+        return own | {name: replace(one, name=name, simulated_by=named[name]) for name, one in copies.items()}
+
+
+def made_of_others(folder: Path, text: str, simulated_by: str = "") -> RehearsalDraft:
+    """What is gathered of a cell with devices of another plugin; nothing is written."""
+    draft = made(folder, CELL)
+    (folder / "cell.toml").write_text(text)
+    hooks = OtherTypes(draft.hooks.report)
+    hooks.simulated_by = simulated_by
+    return draft_rehearsal(load_config(folder / "cell.toml"), hooks)
+
+
+def test_devices_of_another_plugin_have_the_shipped_simulated_devices(tmp_path: Path) -> None:
+    """Each simulated device has the kind that its section takes, and the values of the cell."""
+    text = CELL.replace('"robot_link"', '"other_robot_link"').replace('"watched_folder"', '"other_watched_folder"')
+    text = text.replace('"cia402_spindle"', '"other_cia402_spindle"')
+    text += '\n[monitor]\ntype = "other_monitor_line"\naddress = "serial:/dev/ttyUSB4"\n'
+    text += "[signals.flow.before]\nmin = 1.0\n"
+    text = with_keys(text, {"robot": {"watchdog_s": 12.0}, "metrology": {"request_file": "go.txt"}})
+    draft = made_of_others(tmp_path, text)
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.robot.watchdog_s) == ("link", 12.0)
+    assert other["robot.address"] == f"tcp://127.0.0.1:{sim.robot.port}"
+    assert (sim.interferometer.kind, sim.interferometer.request_file) == ("watched_folder", "go.txt")
+    assert sim.spindle.kind == "slcan"
+    assert sim.monitor is not None
+    assert (sim.monitor.kind, sim.monitor.signals["flow"].value) == ("serial", 1.1)
+
+
+def test_a_simulated_device_with_several_protocols_needs_its_kind(tmp_path: Path) -> None:
+    text = CELL.replace('"voice_coil_modbus"', '"other_voice_coil_modbus"')
+    with pytest.raises(ConfigError, match=r"cell\.toml:\d+: actuator\.type: .*several protocols.*modbus_rtu"):
+        made_of_others(tmp_path, text)
+    assert sim_of(made_of_others(tmp_path, text, "modbus_rtu"), tmp_path).actuator.kind == "modbus_rtu"
 
 
 REFUSED = {
@@ -366,5 +413,5 @@ def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
 
 
 def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--state and --artefact go without --from"):
+    with pytest.raises(ConfigError, match="--state and --artefact do not go with rehearse"):
         CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)

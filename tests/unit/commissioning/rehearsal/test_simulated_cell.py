@@ -20,6 +20,7 @@ from polishd.commissioning.rehearsal.simulated_cell import (
     write_demo,
 )
 from polishd.config.cell import CellConfig, load_config
+from polishd.config.simulator import load_simulator
 from polishd.model.errors import MapError
 from polishd.model.program import Program
 from polishd.pipeline import steps
@@ -107,22 +108,20 @@ def test_everything_is_there(demo: DemoFiles, config: CellConfig) -> None:
     assert config.process.correction == "exact"
 
 
-def test_cell_and_simulator_agree_on_part_placement_and_frame(demo: DemoFiles) -> None:
-    cell, plant = tables(demo.cell), tables(demo.sim)["plant"]
-    part, program = cell["part"], cell["program"]
-    assert part["id"] == plant["part_id"]
-    for key in ("aperture_mm", "edge_mm", "origin_mm", "rotation_rpy_deg"):
-        assert part[key] == plant[key], key
-    assert program["offset_mm"] == plant["program_offset_mm"]
-    assert program["rotation_deg"] == plant["program_rotation_deg"]
-    assert tables(demo.cell)["robot"]["address"] == f"tcp://127.0.0.1:{tables(demo.sim)['robot']['port']}"
-    assert plant["ring_mm"] > LANDING_MM, "the tool lands on the ring that the part sits in"
+def test_the_simulator_has_the_cells_part_address_and_artefact(demo: DemoFiles, config: CellConfig) -> None:
+    sim = load_simulator(demo.sim)
+    sim.require_simulated()
+    assert (sim.plant.part_id, sim.plant.outline) == (config.part.id, config.outline())
+    assert (sim.plant.origin_mm, sim.plant.program_offset_mm) == (config.part.origin_mm, config.program.offset_mm)
+    assert tables(demo.cell)["robot"]["address"] == f"tcp://127.0.0.1:{sim.robot.port}"
+    assert len(sim.interferometer.artefact.bumps) == 3
+    assert sim.plant.ring_mm > LANDING_MM, "the tool lands on the ring that the part sits in"
 
 
 def test_a_demo_on_a_measured_map_has_its_size(tmp_path: Path) -> None:
     files = write_demo(tmp_path / "out", scan(tmp_path / "m.dat", 30.0), 5.0, 2, "none")
-    cell, sim = tables(files.cell), tables(files.sim)
-    assert cell["part"]["aperture_mm"] == sim["plant"]["aperture_mm"] == 30.0
+    cell = tables(files.cell)
+    assert cell["part"]["aperture_mm"] == load_simulator(files.sim).plant.aperture_mm == 30.0
     assert cell["job"]["tolerance_period_mm"] == SURFACE_PERIOD_MM
     assert (cell["job"]["tolerance_nm"], cell["job"]["max_cycles"]) == (5.0, 2)
     assert cell["process"]["correction"] == "none"

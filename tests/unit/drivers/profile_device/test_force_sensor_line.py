@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import DeviceFault, DeviceIdentity, DeviceRefused, ProtocolError, SensorTimes
+from polishd.config.device_profile_checks import profile_of
 from polishd.drivers.profile_device import build, codec
 from polishd.drivers.profile_device.drives import ProfiledForceSensor
 from polishd.drivers.transport import lines
@@ -20,7 +21,7 @@ from tests.fakes.looking import FakeAmplifier
 from tests.fakes.wires import TcpWire
 from tests.vectors import vectors
 
-PROFILE = build.profile_of("force_sensor_line", Path())
+PROFILE = profile_of("force_sensor_line", Path())
 FORCE = {name: line.encode() for name, line in vectors("force_sensor").items()}
 
 
