@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-import polishd.util.files
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.runtime.exit_record import locked
 from polishd.model.devices import ExecutedBlock
 from polishd.model.states import CyclePhase, Outcome
+from polishd.util import files
 from polishd.util.serialization import plain
 
 CHECKPOINT_PAGES = 24
@@ -82,7 +82,7 @@ def marking(marks: Path) -> Any:
     Marking.handle = os.open(marks, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     Marking.weak = os.environ.get(WEAK, "")
     if Marking.weak == NO_STORE_SYNC:
-        polishd.files.os = SimpleNamespace(**{**vars(os), "fsync": lambda _: None})  # type: ignore[attr-defined]
+        files.os = SimpleNamespace(**{**vars(os), "fsync": lambda _: None})  # type: ignore[attr-defined]
 
     def connect(path: Path) -> sqlite3.Connection:
         connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=5.0, factory=Marking)
