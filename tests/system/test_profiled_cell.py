@@ -96,7 +96,7 @@ def test_probe_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
         files.cell.write_text(good)
         with serial.Serial(str(files.sim_dir / "spindle"), exclusive=True):
             told = what_is_wrong(files)
-        assert told["spindle"].endswith("another program has the port open; end it (lsof names it)")
+        assert told["spindle"].endswith("another program has the port open. End that program (lsof names it).")
 
 
 def what_is_wrong(files: DemoFiles) -> dict[str, str]:

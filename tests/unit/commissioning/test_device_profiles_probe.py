@@ -121,13 +121,13 @@ CASES = [
     Case("rtu", "unit", f"{SPINDLE}\nunit = 7", INVERTER, rf"unit 7: no answer {NO_ANSWER}.* unit number"),
     Case("rtu", "profile", MODBUS, INVERTER, f"unit 1: exception 2, address not known; {OTHER}"),
     Case("rtu", "lines there", MODBUS, DRIVE, f"unit 1: no answer {NO_ANSWER}"),
-    Case("lines", "numbered there", NUMBERED, DRIVE, rf"ST\?: '!.*' within .* is no answer; {OTHER}"),
+    Case("lines", "numbered there", NUMBERED, DRIVE, r"ST\?: '!.*' within .* is not an"),
     Case("lines", "prose", LINES, Web, rf"\? was answered by 'HTTP.*'.*; {OTHER}"),
     Case("loader", "a sensor there", LOADER, FakeAmplifier, rf"ST\? was refused: unknown.*; {OTHER}"),
     Case("sensor", "a loader there", SENSOR, FakeLoader, rf"F\? was refused: unknown.*; {OTHER}"),
     Case("monitor", "a loader there", MONITOR, FakeLoader, rf"LS\?,0 was refused: unknown.*; {OTHER}"),
     Case("cia402", "node", CIA402, on_can(9), "node 5: .*; only nodes 9 send"),
-    Case("cia402", "bit rate", CIA402, DeadBus, "nothing is heard on the bus: see power, bit rate, wires"),
+    Case("cia402", "bit rate", CIA402, DeadBus, "the bus is silent"),
 ]  # fmt: skip
 TCP = [
     Case("modbus tcp", "unit", f"{MODBUS}\nunit = 3", COIL, f"unit 3: .*{SILENT}.* unit number"),
@@ -135,7 +135,7 @@ TCP = [
     Case("modbus tcp", "lines there", MODBUS, DRIVE, f"no answer {SILENT}"),
     Case("lines tcp", "Modbus there", LINES, COIL, rf"no answer to '\?' {SILENT}"),
     Case("loader tcp", "mute", LOADER, Mute, rf"no answer to ST\? {SILENT}"),
-    Case("sensor tcp", "a web server", SENSOR, Web, rf"F\?: 'HTTP.*' within .* is no answer; {OTHER}"),
+    Case("sensor tcp", "a web server", SENSOR, Web, r"F\?: 'HTTP.*' within .* is not an"),
     Case("socketcand", "node", CIA402, on_can(9, SocketcandPeer), "node 5: .*; only nodes 9 send"),
     Case("socketcand", "mute", CIA402, Mute, "no greeting within 1 s; is it a socketcand server"),
 ]  # fmt: skip

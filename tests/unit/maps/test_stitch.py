@@ -166,7 +166,7 @@ def test_what_is_no_list_of_places_is_told_with_its_line(polishd: Polishd, tmp_p
     for text, message in {
         "file,x_mm,y_mm\np0.dat,0,0\np1.dat,far,0\n": "at.csv:3: x_mm is 'far'",
         "file,x_mm,y_mm\np0.dat,0,0\np1.dat,30\n": "at.csv:3: y_mm is missing; write a finite number",
-        "file,x_mm,y_mm\np0.dat,0,0\np0.dat,30,0\n": "at.csv:3: p0.dat stands there a second time",
+        "file,x_mm,y_mm\np0.dat,0,0\np0.dat,30,0\n": "at.csv:3: p0.dat is repeated",
         "file,x_mm\np0.dat,0\n": "at.csv:1: the column 'y_mm' is missing",
         "file,x_mm,y_mm\np0.dat,0,0\n": "at.csv: does not say where p1.dat lies",
     }.items():
