@@ -206,6 +206,7 @@ def _until_settled(rig: Rig, way: Way) -> None:
         wait_for(lambda: rig.daemon.process.poll() is not None, "the daemon's end", SETTLE_S)
     if way.forgets:
         with contextlib.closing(sqlite3.connect(rig.files.state_dir / "journal.sqlite")) as journal:
+            register_checksum(journal)
             journal.execute("UPDATE pass SET boot_id = 'of another boot'")
             journal.commit()
     if not way.tells:
