@@ -26,7 +26,7 @@ import numpy as np
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell, with_values
 from polishd.config.cell import load_config
-from polishd.daemon.journal.checksums import register_checksum
+from polishd.daemon.journal.store import connect
 from polishd.daemon.socket import client
 from polishd.model.errors import LinkError
 from tests.fakes import proxy
@@ -206,10 +206,8 @@ def _until_settled(rig: Rig, way: Way) -> None:
     else:
         wait_for(lambda: rig.daemon.process.poll() is not None, "the daemon's end", SETTLE_S)
     if way.forgets:
-        with contextlib.closing(sqlite3.connect(rig.files.state_dir / "journal.sqlite")) as journal:
-            register_checksum(journal)
+        with contextlib.closing(connect(rig.files.state_dir / "journal.sqlite")) as journal:
             journal.execute("UPDATE pass SET boot_id = 'of another boot'")
-            journal.commit()
     if not way.tells:
         with Daemon(rig.files) as again:
             again.wait_for_state("held")
@@ -236,12 +234,10 @@ def _cost(way: Way, lift_s: float, caused_s: float, files: DemoFiles) -> Cost:
 def _as_before(journal: Path) -> Path:
     """A copy that knows nothing of what ran while contact was left."""
     copy = journal.with_name("as-before.sqlite")
-    with contextlib.closing(sqlite3.connect(journal)) as whole, contextlib.closing(sqlite3.connect(copy)) as file:
-        register_checksum(file)
+    with contextlib.closing(sqlite3.connect(journal)) as whole, contextlib.closing(connect(copy)) as file:
         whole.backup(file)
         file.execute("DELETE FROM segment WHERE touched IS NOT 1")
         file.execute("UPDATE pass SET uncertain_from = NULL, uncertain_to = NULL")
-        file.commit()
     return copy
 
 
