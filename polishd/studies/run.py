@@ -19,7 +19,7 @@ from polishd.config.sweep import SweepStudy, load_swept
 from polishd.model.errors import ConfigError
 from polishd.pipeline.records import facts_of
 from polishd.rendering.terminal import json_line, say, stderr, stdout
-from polishd.studies import pictures, summary_output, tables
+from polishd.studies import output, pictures
 from polishd.studies.case_runner import closed_loop, looped, read, run_of
 from polishd.studies.cases import Case, cases_of
 from polishd.studies.corrections import ProgressReport, compare_corrections
@@ -28,7 +28,6 @@ from polishd.studies.options import StudyOptions
 from polishd.studies.result_store import ResultStore, Rows, make_folder, read_table
 from polishd.studies.spots import compute_spots, polish_evenly
 from polishd.studies.summary import summarise
-from polishd.studies.summary_output import summary_pictures, summary_tables
 from polishd.util.files import write_atomic
 
 # A study of many cases, from its file to all rows: known cases are reused, the others are computed.
@@ -150,15 +149,15 @@ def _answer(study: Study, report_progress: ProgressReport) -> StudyResult:
     if isinstance(study, CorrectionsStudy):
         compared = compare_corrections(study, read, report_progress)
         rows = [facts_of(row) for row in compared.rows]
-        shown = tables.correction_tables(study.title, compared)
-        return StudyResult(rows, shown, tables.correction_notes(compared), pictures.of_corrections(compared))
+        shown = output.correction_tables(study.title, compared)
+        return StudyResult(rows, shown, output.correction_notes(compared), pictures.of_corrections(compared))
     if isinstance(study, SpotsStudy):
         spots = compute_spots(study, report_progress)
-        shown = tables.spot_tables(study, spots)
-        return StudyResult([row.as_json() for row in spots], shown, tables.spot_notes(spots), pictures.of_spots(spots))
+        shown = output.spot_tables(study, spots)
+        return StudyResult([row.as_json() for row in spots], shown, output.spot_notes(spots), pictures.of_spots(spots))
     assert isinstance(study, PassesStudy)  # noqa: S101  loops have many cases
     polished = polish_evenly(study, report_progress)
-    shown = [tables.passes_table(study, polished)]
+    shown = [output.passes_table(study, polished)]
     return StudyResult([polished.as_json()], shown, list(polished.notes), pictures.of_passes(polished))
 
 
@@ -167,18 +166,20 @@ def _of_many(study: Study, rows: Rows, *, is_sweep: bool) -> StudyResult:
     if is_sweep or not isinstance(study, LoopStudy):
         return _summed(study.title, rows)
     found = looped([run_of(row) for row in rows], study.all_scenarios())
-    shown = [tables.loop_table(study.title, found), summary_output.confusion_table(study.title, found)]
-    pages = {summary_output.FILE: summary_output.confusion_page(found)}
-    return StudyResult(found.as_json(), shown, tables.loop_notes(found), pictures.of_loops(found), pages)
+    shown = [output.loop_table(study.title, found), output.confusion_table(study.title, found)]
+    pages = {output.FILE: output.confusion_page(found)}
+    return StudyResult(found.as_json(), shown, output.loop_notes(found), pictures.of_loops(found), pages)
 
 
 def _summed(title: str, rows: Rows) -> StudyResult:
     summary = summarise(rows)
     notes = [
         f"{summary.rows} rows; failed: an error, or not in tolerance at the job's end; medians of true RMS at that end",
-        *tables.error_notes(rows),
+        *output.error_notes(rows),
     ]
-    return StudyResult(summary.as_json(), summary_tables(title, summary), notes, summary_pictures(summary))
+    return StudyResult(
+        summary.as_json(), output.summary_tables(title, summary), notes, output.summary_pictures(summary)
+    )
 
 
 def _write(out: Path, answer: StudyResult) -> None:

@@ -15,7 +15,7 @@ import pytest
 from polishd.api import DeviceRefused
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.plc_robot.modbus import Modbus
-from polishd.drivers.profile_device.modbus import ModbusWire
+from polishd.drivers.profile_device.links import ModbusWire
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.modbus_link import ModbusLink
 from tests.fakes.devices_by_profile import shipped

@@ -19,9 +19,8 @@ from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery
 from polishd.model.events import RunFolderCompleted
 from polishd.plugin_loader import load_plugins
 from polishd.studies.cases import Case
-from polishd.studies.engine import FinishedCase
+from polishd.studies.engine import CaseResult, FinishedCase
 from polishd.studies.result_store import ResultStore
-from polishd.studies.workers import CaseResult
 from polishd.util.wire_recording import Way, WireMessage, header_line, passed_line, record_received, record_sent
 from tests.fakes.handover import PROFILE, Direct, FakePlc, cycling
 

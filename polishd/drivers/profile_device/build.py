@@ -12,8 +12,7 @@ from polishd.drivers.profile_device import codec
 from polishd.drivers.profile_device.codec import Values
 from polishd.drivers.profile_device.device import ProfileTransport
 from polishd.drivers.profile_device.drives import ProfiledActuator, ProfiledForceSensor, ProfiledSpindle
-from polishd.drivers.profile_device.lines import LineWire
-from polishd.drivers.profile_device.modbus import ModbusWire
+from polishd.drivers.profile_device.links import LineWire, ModbusWire
 from polishd.drivers.transport.address import SerialLine, Tcp, line_address
 from polishd.drivers.transport.modbus_link import read_frame, write_frame
 

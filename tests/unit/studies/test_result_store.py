@@ -10,9 +10,8 @@ import pytest
 
 from polishd.model.errors import ConfigError
 from polishd.studies.cases import Case, made_of, versions
-from polishd.studies.engine import FinishedCase
+from polishd.studies.engine import CaseResult, FinishedCase
 from polishd.studies.result_store import JOURNAL, TABLE, ResultStore, read_table
-from polishd.studies.workers import CaseResult
 
 
 def case(number: int = 0, of: str = "a", **at: Any) -> Case:

@@ -12,9 +12,9 @@ from polishd.config.study import PassesStudy, load_study
 from polishd.model.errors import ConfigError
 from polishd.rendering.terminal import stdout
 from polishd.studies.options import StudyOptions
+from polishd.studies.output import passes_table
 from polishd.studies.run import study_verb
 from polishd.studies.spots import polish_evenly
-from polishd.studies.tables import passes_table
 from tests.unit.studies.studies import FIG_12, TABLE_III, TABLE_IV, line_of, small, variant
 
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from polishd.cli.app import app
 from polishd.commissioning.init.answers import ARMS, answers_of
 from polishd.commissioning.init.draft import draft_cell
-from polishd.commissioning.init.seat import Seat, find_seat, reached
+from polishd.commissioning.init.write_cell import Seat, find_seat, reached
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.instrument_profile import load_profile
 from polishd.config.table_files import read_tif, write_tif

@@ -12,7 +12,7 @@ from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, Pr
 from polishd.config.device_profile_checks import device_profile_of
 from polishd.drivers.profile_device import build
 from polishd.drivers.profile_device.drives import ProfiledActuator
-from polishd.drivers.profile_device.lines import LineWire
+from polishd.drivers.profile_device.links import LineWire
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.sim_backends.profile_device.machine import Gauge
 from tests.fakes.devices_by_profile import file_of, shipped

@@ -11,7 +11,7 @@ import pytest
 
 from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.profile_device.drives import ProfiledActuator
-from polishd.drivers.profile_device.modbus import ModbusWire
+from polishd.drivers.profile_device.links import ModbusWire
 from polishd.drivers.transport.address import SerialLine, Tcp
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
 from tests.fakes.devices_by_profile import shipped, voice_coil_modbus

@@ -10,7 +10,7 @@ import pytest
 
 from polishd.api import ActuatorTimes, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.profile_device.drives import ProfiledActuator
-from polishd.drivers.profile_device.lines import LineWire
+from polishd.drivers.profile_device.links import LineWire
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.lines import NumberedLines
 from tests.fakes.actuator import AsciiCoil, Coil
