@@ -28,10 +28,43 @@ from polishd.api import (
     hookimpl,
 )
 from polishd.model.surface import FloatArray
-from polishd.process.dwell import automatic, douglas_rachford, interior_point, lucy_richardson, newton_cg
+from polishd.process.dwell import (
+    alternating_directions,
+    douglas_rachford,
+    interior_point,
+    lucy_richardson,
+    newton_cg,
+)
 from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import check
+from polishd.process.dwell.quadratic import condition
 from polishd.process.dwell.time_limit import SLOWEST, TimeLimit
+from polishd.process.removal.spread_effect import SpreadEffect
+
+# The default solver: the fastest of polishd's for the effect at hand.
+
+AUTO_NAME = "auto"
+ILL = 1e5
+"""Condition number above which factorising beats conjugate gradients (rho of about 1e-5)."""
+FEW = 5_800
+"""Points whose factor the interior point takes, however wide its band."""
+
+
+def solve_auto(problem: DwellProblem, within_s: float) -> DwellSolution:
+    """Splitting for a sum of convolutions, alternating directions where there is no matrix; else Newton-CG or a factor.
+
+    Conjugate gradients win where regularisation conditions the problem, a factor where it does not and is small.
+    Arguments, result and errors as those solvers'; the certificate names the one that was taken.
+    """
+    if isinstance(problem.effect, ConvolutionEffect):
+        return douglas_rachford.solve(problem, within_s)
+    check(problem)
+    if isinstance(problem.effect, SpreadEffect):
+        return alternating_directions.solve(problem, within_s)
+    if problem.effect.n <= FEW and isinstance(problem.effect, SparseEffect) and condition(problem) > ILL:
+        return interior_point.solve(problem, within_s)
+    return newton_cg.solve(problem, within_s)
+
 
 # The dwell problem as a sparse quadratic program, for any backend of qpsolvers that takes sparse matrices.
 
@@ -239,13 +272,14 @@ def _written_out(effect: ConvolutionEffect) -> sparse.csr_array:
 
 POLISHD_API = 1
 
-OWN = (automatic, newton_cg, douglas_rachford, interior_point, lucy_richardson)
+OWN = (newton_cg, douglas_rachford, interior_point, lucy_richardson)
 
 
 @hookimpl
 def polishd_dwell_solvers() -> Sequence[DwellSolver]:
     """The default solver first."""
     return [
+        DwellSolver(AUTO_NAME, solve_auto),
         *(DwellSolver(own.NAME, own.solve) for own in OWN),
         DwellSolver(QP_NAME, solve_qp),
         *(DwellSolver(f"{QP_NAME}:{name}", partial(solve_qp, backend=name)) for name in installed()),

@@ -15,9 +15,8 @@ from polishd.drivers.cia402.drive import CanNodeAddress
 from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
-from polishd.sim_backends.cia402 import node as stage
-from polishd.sim_backends.cia402.device import Motor
-from polishd.sim_backends.cia402.node import Node, Objects, Power, SimAxis
+from polishd.sim_backends.cia402 import device as stage
+from polishd.sim_backends.cia402.device import Motor, Node, Objects, Power, SimAxis
 
 EDS = Path(__file__).resolve().parents[2] / "examples" / "drive.eds"
 NODE, CONTROLLER = 5, 0x45

@@ -23,7 +23,7 @@ from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.opcua import OpcUa
 from polishd.drivers.plc_robot.variables import VariableSnapshot, of_kind, watched
 from polishd.sim_backends.plc_robot.controller import Plc
-from polishd.sim_backends.plc_robot.servers import AMS_PORT, TCP_PORT, AdsServer
+from polishd.sim_backends.plc_robot.device import AMS_PORT, TCP_PORT, AdsServer
 from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.trajectory import Limits
 
@@ -220,7 +220,7 @@ async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIt
 @asynccontextmanager
 async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[tuple[PlcRobot, Relay]]:
     """A closed driver, with a socket and a server between."""
-    from polishd.sim_backends.plc_robot.servers import served
+    from polishd.sim_backends.plc_robot.device import served
 
     async with cycling(fake), served(fake.plc) as port:
         relay = Relay(fake, port)

@@ -14,8 +14,7 @@ from polishd.drivers.universal_robots.driver import Addresses
 from polishd.sim_backends.universal_robots import device
 from polishd.sim_backends.universal_robots.arm import UrArm
 from polishd.sim_backends.universal_robots.controller import UrController
-from polishd.sim_backends.universal_robots.device import Dashboard
-from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
+from polishd.sim_backends.universal_robots.device import Dashboard, InputOwnership, RtdeClient
 from tests.fakes.wires import Filter, unchanged
 
 LOOPBACK = "127.0.0.1"

@@ -14,7 +14,7 @@ from polishd.api import ExecutedBlock, LinkError, Plan
 from polishd.daemon.contact.progress import ProgressLimits
 from polishd.daemon.contact.streaming import CHUNK as DAEMON_CHUNK
 from polishd.daemon.contact.streaming import streaming
-from polishd.drivers.robot_link import connection
+from polishd.drivers.robot_link import driver as link_driver
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from polishd.sim_backends.common import framing as f
@@ -120,7 +120,7 @@ async def campaign(
 async def test_each_block_is_executed_once_and_in_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blocks: int, disconnects: int
 ) -> None:
-    monkeypatch.setattr(connection, "MAX_BLOCKS", 1)  # a block a frame: faults for each of them
+    monkeypatch.setattr(link_driver, "MAX_BLOCKS", 1)  # a block a frame: faults for each of them
     witness, plan, seen, cuts = await campaign(tmp_path, blocks, 18 * blocks // (10 * disconnects), seed=3)
     assert cuts >= disconnects
     assert len(witness.of("program_loaded")) == 1

@@ -30,8 +30,7 @@ from polishd.process.robot.compliance import equivalent_compliance as controller
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.hidden_truth import Frames, rotation_rpy, tool_axis
 from polishd.sim_backends.plant import part as parts
-from polishd.sim_backends.plant.removal import hertz_depth_mm, wear, worn_depth_mm
-from polishd.sim_backends.plant.tool import given_way
+from polishd.sim_backends.plant.tool import given_way, hertz_depth_mm, wear, worn_depth_mm
 from polishd.sim_backends.robot.program_reader import Reader
 from tests.rs274 import read
 from tests.unit.plugins.rnc_robot.test_traps_rs274 import BAD, GOOD, Bad, Good

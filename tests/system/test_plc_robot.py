@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from asyncua import Client, ua
 
-from polishd.sim_backends.plc_robot.servers import NAMESPACE
+from polishd.sim_backends.plc_robot.device import NAMESPACE
 from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import Daemon, account, events, summary
 from tests.system.plc_robot_rig import running, write_files

@@ -15,7 +15,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.config.cell import load_config
-from polishd.sim_backends.universal_robots.rtde import DATA, SET_INPUTS, VERSION, pack
+from polishd.sim_backends.universal_robots.device import DATA, SET_INPUTS, VERSION, pack
 from tests.system.cell_rig import Daemon, events
 from tests.system.sim_rig import alive, wait_for
 from tests.system.test_daemon import require_safe_order

@@ -14,7 +14,7 @@ from typing import Any
 from zlib import crc32
 
 from polishd.api import RobotTimes
-from polishd.drivers.robot_link.connection import RobotLinkConnection
+from polishd.drivers.robot_link.driver import RobotLinkConnection
 from polishd.drivers.robot_link.protocol import FrameType
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots import driver

@@ -17,7 +17,7 @@ from polishd.drivers.robot_link import protocol
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.rtde import RtdeSample, UrRegisters, UrRuntimeState
 from polishd.model.devices import RobotTimes
-from polishd.sim_backends.universal_robots import rtde
+from polishd.sim_backends.universal_robots import device as ur_device
 from tests.fakes.handover import PROFILE, FakePlc, direct
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.wires import TcpWire
@@ -81,7 +81,7 @@ def test_universal_robots_reports_slider_times_scaling_and_the_slider_alone_at_r
     assert sample().override == 1.0
     assert sample(target_speed_fraction=0.5, speed_scaling=0.5).override == 0.25
     assert sample(target_speed_fraction=0.5, speed_scaling=0.0, runtime_state=UrRuntimeState.STOPPED).override == 0.5
-    assert {"target_speed_fraction", "speed_scaling"} <= rtde.OUTPUTS.keys()
+    assert {"target_speed_fraction", "speed_scaling"} <= ur_device.OUTPUTS.keys()
 
 
 @pytest.mark.parametrize("scaling", [-0.1, 1.5, float("nan"), float("inf")])

@@ -222,7 +222,7 @@ def test_verify_without_linuxcnc_says_how_to_get_it(
     polishd: Polishd, program: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", "")
-    monkeypatch.setattr("polishd.plugins.rnc_robot.interpreter_check.exact_python", lambda: None)
+    monkeypatch.setattr("polishd.plugins.rnc_robot.verify.exact_python", lambda: None)
     said = polishd("program", "verify", program, program, "--with", "rs274", "--json")
     assert (said.code, said.out) == (9, "")
     assert "apt-get install" in said.err

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Artefact, BumpSection, MapFaults, SimConfig, Truth
+from polishd.config.simulator import Artefact, BumpSection, FaultSection, MapFaults, SimConfig, Truth
 from polishd.config.simulator import SimInterferometerSection as Section
-from polishd.config.simulator_errors import FaultSection
 from polishd.sim_backends.common import metropro
 from polishd.sim_backends.common.faults import FaultScript
 from polishd.sim_backends.common.wire import SimWire

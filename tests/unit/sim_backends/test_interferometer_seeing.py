@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SimConfig, SimInterferometerSection, Truth
-from polishd.config.simulator_errors import InstrumentErrors
+from polishd.config.simulator import InstrumentErrors, SimConfig, SimInterferometerSection, Truth
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrology import zernike
 from polishd.sim_backends.interferometer import add_instrument_errors

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from polishd.api import ConfigError, DeviceRefused, ProtocolError
 from polishd.drivers.cia402 import protocol
 from polishd.drivers.cia402.protocol import Address, abort_text, emergency_text, read_dictionary
-from polishd.sim_backends.cia402.node import I8, I16, I32, OBJECTS, RANGES, U8, U16, U32
+from polishd.sim_backends.cia402.device import I8, I16, I32, OBJECTS, RANGES, U8, U16, U32
 from tests.fakes.cia402 import EDS
 
 TEXT = EDS.read_text()

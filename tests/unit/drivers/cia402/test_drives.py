@@ -13,7 +13,7 @@ from polishd.api import ActuatorTimes, DeviceFault, DeviceRefused, LinkError, Pr
 from polishd.drivers.cia402.actuator import Cia402Actuator
 from polishd.drivers.cia402.spindle import Cia402Spindle
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
-from polishd.sim_backends.cia402 import node as stage
+from polishd.sim_backends.cia402 import device as stage
 from polishd.sim_backends.cia402.device import Motor
 from tests.conformance.conftest import seen
 from tests.fakes.can_peers import SlcanPeer, SocketcandPeer

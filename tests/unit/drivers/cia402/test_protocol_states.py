@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from polishd.api import ProtocolError
 from polishd.drivers.cia402 import protocol
 from polishd.drivers.cia402.protocol import DriveState402, power_up, state_of
-from polishd.sim_backends.cia402 import node as stage
-from polishd.sim_backends.cia402.node import Power
+from polishd.sim_backends.cia402 import device as stage
+from polishd.sim_backends.cia402.device import Power
 
 # CiA 402-2, table of the status word: xxxx xxxx x0xx 0000 and so on, here as (bits that count, their value).
 TABLE = {

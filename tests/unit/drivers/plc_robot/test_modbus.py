@@ -16,7 +16,7 @@ from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.modbus import Modbus, place, spans
 from polishd.drivers.transport.address import Tcp
-from polishd.sim_backends.plc_robot.servers import ModbusServer
+from polishd.sim_backends.plc_robot.device import ModbusServer
 from tests.fakes.handover import FakePlc, cycling, serving
 from tests.programs import plan_of
 

@@ -16,7 +16,7 @@ from polishd.api import ConfigError, DeviceContext, LinkError
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.plc_robot.device_types import PlcRobotOptions, build
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
-from polishd.sim_backends.plc_robot.servers import NAMESPACE, OPCUA_TYPES
+from polishd.sim_backends.plc_robot.device import NAMESPACE, OPCUA_TYPES
 
 PROFILE = load_controller_profile("plc-opcua", Path())
 SILENCE_S = 20.0

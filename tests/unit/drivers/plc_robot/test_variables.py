@@ -13,8 +13,7 @@ from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.file_delivery import Delivery, Folder
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery
 from polishd.model.errors import ConfigError
-from polishd.testing.replay import replayed
-from polishd.testing.replay_controller import RecordedController, Replayed, replayed_controller
+from polishd.testing.replay import RecordedController, Replayed, replayed, replayed_controller
 from polishd.util.wire_recording import (
     WireMessage,
     header_line,

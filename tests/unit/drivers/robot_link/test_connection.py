@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from polishd.api import ExecutedBlock, LinkError, Segment
-from polishd.drivers.robot_link.connection import MAX_BLOCKS, MAX_BYTES, ExecutionRecord, RobotLinkSession
+from polishd.drivers.robot_link.driver import MAX_BLOCKS, MAX_BYTES, ExecutionRecord, RobotLinkSession
 from polishd.drivers.robot_link.protocol import Ack, Nak
 from tests.fakes import robot as wire
 

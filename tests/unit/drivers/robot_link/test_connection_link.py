@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from polishd.api import DeviceFault, ExecutedBlock, LinkError, ProtocolError
-from polishd.drivers.robot_link import connection
+from polishd.drivers.robot_link import driver as link_driver
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
@@ -190,9 +190,9 @@ async def run_through(robot: RobotLink, blocks: int) -> list[int]:
 @pytest.mark.parametrize("seed", range(5))
 async def test_lost_blocks_are_sent_again(pair: Pair, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     robot, fake = pair
-    monkeypatch.setattr(connection, "RESEND_S", 0.05)
-    monkeypatch.setattr(connection, "RESENDS", 20)
-    monkeypatch.setattr(connection, "MAX_BLOCKS", 5)
+    monkeypatch.setattr(link_driver, "RESEND_S", 0.05)
+    monkeypatch.setattr(link_driver, "RESENDS", 20)
+    monkeypatch.setattr(link_driver, "MAX_BLOCKS", 5)
     fake.window = 500
     chance = random.Random(seed)
     fake.ignores = lambda kind, payload: kind == wire.BLOCKS and chance.random() < 0.3
@@ -253,7 +253,7 @@ async def test_lost_records_end_the_link_and_come_after_a_reconnect(pair: Pair) 
 
 async def test_a_robot_that_takes_no_blocks_is_not_asked_for_ever(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, fake = pair
-    monkeypatch.setattr(connection, "RESEND_S", 0.03)
+    monkeypatch.setattr(link_driver, "RESEND_S", 0.03)
     await robot.prepare(PLAN)
     fake.ignores = lambda kind, payload: kind == wire.BLOCKS
     with pytest.raises(ProtocolError, match="does not accept block 0"):
@@ -264,7 +264,7 @@ async def test_a_robot_that_takes_no_blocks_is_not_asked_for_ever(pair: Pair, mo
 
 async def test_commands_are_sent_once(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, fake = pair
-    monkeypatch.setattr(connection.RobotLinkConnection.command, "__defaults__", (0.1,))
+    monkeypatch.setattr(link_driver.RobotLinkConnection.command, "__defaults__", (0.1,))
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:5])
     fake.ignores = lambda kind, payload: kind == wire.RESUME

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from polishd.api import ExecutedBlock, LinkError, ProtocolError
 from polishd.drivers.robot_link import protocol
-from polishd.drivers.robot_link.connection import ExecutionRecord
+from polishd.drivers.robot_link.driver import ExecutionRecord
 from polishd.drivers.robot_link.protocol import MAX_PAYLOAD, Frame, FrameReader, FrameType, encode, header_check
 from tests.vectors import vectors
 

@@ -22,7 +22,7 @@ from polishd.drivers.universal_robots.script import Settings
 from polishd.sim_backends.universal_robots import arm as m
 from polishd.sim_backends.universal_robots.arm import turned
 from polishd.sim_backends.universal_robots.controller import UrController
-from polishd.sim_backends.universal_robots.rtde import DATA, SET_INPUTS, VERSION, pack
+from polishd.sim_backends.universal_robots.device import DATA, SET_INPUTS, VERSION, pack
 from tests.fakes.universal_robot import LOOPBACK, FakeController
 from tests.programs import plan_of
 

@@ -13,10 +13,10 @@ from polishd.api import DeviceBusy, DeviceRefused, ProtocolError
 from polishd.config.simulator import SimRobotSection
 from polishd.drivers.universal_robots import rtde
 from polishd.drivers.universal_robots.rtde import FORMATS, Package, PackageReader, PackageType, RtdeRecipe
-from polishd.sim_backends.universal_robots import rtde as fields
+from polishd.sim_backends.universal_robots import device as fields
 from polishd.sim_backends.universal_robots.arm import UrArm
 from polishd.sim_backends.universal_robots.controller import UrController
-from polishd.sim_backends.universal_robots.rtde import InputOwnership, RtdeClient
+from polishd.sim_backends.universal_robots.device import InputOwnership, RtdeClient
 from tests.vectors import vectors
 
 NAMES = ("timestamp", "runtime_state", "target_TCP_speed", "output_int_register_24")

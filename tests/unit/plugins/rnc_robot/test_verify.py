@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from polishd.api import ProgramError
 from polishd.drivers.linuxcnc.interpreter import exact_python
-from polishd.plugins.rnc_robot import interpreter_check
 from polishd.plugins.rnc_robot import verify as verifier
 from polishd.plugins.rnc_robot.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.dialect import dialect as load
@@ -231,7 +230,7 @@ def test_robot_languages_are_not_for_linuxcnc() -> None:
 )
 def test_linuxcnc_sees_times_that_we_read_wrong(lie: dict[str, object], says: str) -> None:
     program = read(RS274, DWELL.encode(), "t")
-    said = interpreter_check.interpreted(program, dataclasses.replace(program, **lie), RS274)  # type: ignore[arg-type]
+    said = verifier.interpreted(program, dataclasses.replace(program, **lie), RS274)  # type: ignore[arg-type]
     assert says in (said.difference or "")
 
 
@@ -240,18 +239,16 @@ def test_linuxcnc_sees_times_that_we_read_wrong(lie: dict[str, object], says: st
 @pytest.mark.parametrize("text", [DWELL, FEED, INVERSE], ids=["dwell", "feed", "inverse"])
 def test_without_the_module_rs274_itself_is_asked(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("polishd.drivers.linuxcnc.interpreter.exact_python", lambda: None)
-    monkeypatch.setattr(interpreter_check, "exact_python", lambda: None)
+    monkeypatch.setattr(verifier, "exact_python", lambda: None)
     strays = text.replace("G0 X0", "G4 P.5\nG0 X0")
     program = read(RS274, strays.encode(), "t")
-    said = interpreter_check.interpreted(program, program, RS274)
+    said = verifier.interpreted(program, program, RS274)
     assert said.difference is None
     assert said.times == (6 if text == DWELL else 0), "four decimals say nothing about the time of a short move"
     wrong = dataclasses.replace(program, time_s=program.time_s + 2e-4)
-    assert (interpreter_check.interpreted(program, wrong, RS274).difference is None) == (text != DWELL)
+    assert (verifier.interpreted(program, wrong, RS274).difference is None) == (text != DWELL)
     moved = read(RS274, strays.replace("Z0\n", "Z1\n").encode(), "t")
-    assert "STRAIGHT_TRAVERSE(0.0000, 0.0000, 0.0000" in (
-        interpreter_check.interpreted(program, moved, RS274).difference or ""
-    )
+    assert "STRAIGHT_TRAVERSE(0.0000, 0.0000, 0.0000" in (verifier.interpreted(program, moved, RS274).difference or "")
 
 
 @pytest.mark.skipif(exact_python() is None, reason="LinuxCNC's module gcode is not installed")

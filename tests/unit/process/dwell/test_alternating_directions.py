@@ -12,7 +12,8 @@ import pytest
 from polishd.model.dwell import WarmStart
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
-from polishd.process.dwell import alternating_directions, automatic, newton_cg
+from polishd.plugins.dwell_solvers import solve_auto
+from polishd.process.dwell import alternating_directions, newton_cg
 from polishd.process.dwell.lower_bound import prove_lower_bound
 from polishd.process.dwell.problem import DwellProblem, negligible_share, without_traces
 from polishd.process.dwell.quadratic import quadratic, regularisation_from_rho
@@ -192,7 +193,7 @@ def test_out_of_time_it_returns_what_it_has_and_says_so() -> None:
 
 
 def test_the_default_takes_it_where_there_is_no_matrix() -> None:
-    assert automatic.solve(problem(), 120.0).certificate.solver == alternating_directions.NAME
+    assert solve_auto(problem(), 120.0).certificate.solver == alternating_directions.NAME
 
 
 def test_traces_below_zero_are_nothing_and_more_stays_to_be_refused() -> None:

@@ -17,7 +17,7 @@ from polishd.process.removal.contact import CurvedContact, contact_on_curved_par
 from polishd.process.removal.dynamic_tif import PointLocation, effects_columns
 from polishd.process.removal.tif import HertzSpot
 from polishd.sim_backends.plant.part import Shape
-from polishd.sim_backends.plant.removal import contact_radius_mm, hertz_depth_mm, wear
+from polishd.sim_backends.plant.tool import contact_radius_mm, hertz_depth_mm, wear
 from tests.unit.process.removal.half_space import pressure_mpa
 
 TOOL = ToolProcess()

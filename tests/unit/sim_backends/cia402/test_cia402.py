@@ -11,9 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.config.simulator import FaultSection
-from polishd.sim_backends.cia402 import node as stage
-from polishd.sim_backends.cia402.device import DrivenCoil, Motor
-from polishd.sim_backends.cia402.node import BOOT_S, I8, I16, I32, OBJECTS, U8, U16, U32, Node, Objects
+from polishd.sim_backends.cia402 import device as stage
+from polishd.sim_backends.cia402.device import (
+    BOOT_S,
+    I8,
+    I16,
+    I32,
+    OBJECTS,
+    U8,
+    U16,
+    U32,
+    DrivenCoil,
+    Motor,
+    Node,
+    Objects,
+)
 from polishd.sim_backends.common.voice_coil import VoiceCoil
 from tests.unit.sim_backends.vectors import vectors
 

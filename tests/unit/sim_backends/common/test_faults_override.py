@@ -17,9 +17,9 @@ from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.common.faults import SpeedOverride
 from polishd.sim_backends.linuxcnc import pendant
 from polishd.sim_backends.plant.world import World
-from polishd.sim_backends.plc_robot import servers
-from polishd.sim_backends.plc_robot.servers import ModbusServer
-from polishd.sim_backends.universal_robots import rtde
+from polishd.sim_backends.plc_robot import device as plc_device
+from polishd.sim_backends.plc_robot.device import ModbusServer
+from polishd.sim_backends.universal_robots import device as ur_device
 from polishd.sim_backends.universal_robots.controller import UrController
 from tests.fakes.handover import FakePlc
 from tests.unit.sim_backends.plant.test_world import world
@@ -136,9 +136,9 @@ def test_a_plc_shows_its_feed_override_over_all_its_links(tmp_path: Path) -> Non
     assert plc.shown["feed_override"] == 50.0, "OPC UA reports the shown value"
     register = ModbusServer(plc).answer(bytes([4]) + struct.pack(">HH", 18, 1))
     assert register == bytes([4, 2, 0, 50])
-    at = list(servers.KINDS).index("feed_override") * servers.STRING_BYTES
-    error, value = servers.AdsServer(plc)._read(servers.DATA, at, 8)
-    assert (error, struct.unpack("<d", value)) == (servers.OK, (50.0,))
+    at = list(plc_device.KINDS).index("feed_override") * plc_device.STRING_BYTES
+    error, value = plc_device.AdsServer(plc)._read(plc_device.DATA, at, 8)
+    assert (error, struct.unpack("<d", value)) == (plc_device.OK, (50.0,))
 
 
 def ur(*faults: FaultSection) -> UrController:
@@ -156,8 +156,8 @@ def test_universal_robots_moves_slower_and_reports_its_slider() -> None:
     took = [len(found.rows) * FRAME_S for found in (full, half, silent)]
     assert took[1] == pytest.approx(2 * took[0], rel=0.02)
     assert took[2] == took[1]
-    assert [rtde.value(found, "target_speed_fraction") for found in (full, half, silent)] == [1.0, 0.5, 1.0]
-    assert {rtde.value(found, "speed_scaling") for found in (full, half, silent)} == {1.0}
+    assert [ur_device.value(found, "target_speed_fraction") for found in (full, half, silent)] == [1.0, 0.5, 1.0]
+    assert {ur_device.value(found, "speed_scaling") for found in (full, half, silent)} == {1.0}
 
 
 def test_universal_robots_stands_in_a_move_and_in_a_wait_and_plays_on() -> None:
@@ -172,7 +172,7 @@ def test_universal_robots_stands_in_a_move_and_in_a_wait_and_plays_on() -> None:
         for _ in range(1000):
             found.frame()
         assert found.arm.place.xyz_mm == place
-        assert (found.runtime, rtde.value(found, "target_speed_fraction")) == (2, 1.0)
+        assert (found.runtime, ur_device.value(found, "target_speed_fraction")) == (2, 1.0)
         assert len(found.rows) - rows == 1000, "the plant gets its position"
         found.override.suffer(stand, False)
         for _ in range(1000):
@@ -203,7 +203,7 @@ def test_the_pendant_of_a_linuxcnc_reads_what_was_turned_last(tmp_path: Path) ->
 
 
 def test_the_configuration_wires_the_pendant(tmp_path: Path) -> None:
-    from polishd.sim_backends.linuxcnc.machine import LinuxCncConfig as LinuxCnc
+    from polishd.sim_backends.linuxcnc.device import LinuxCncConfig as LinuxCnc
 
     LinuxCnc(SimRobotSection(kind="linuxcnc"), (0.0,) * 5, 900.0).write(tmp_path / "machine")
     hal = (tmp_path / "machine" / "machine.hal").read_text()

@@ -17,8 +17,7 @@ from polishd.model.errors import ConfigError
 from polishd.sim_backends.common.hidden_truth import tool_axis
 from polishd.sim_backends.linuxcnc import device
 from polishd.sim_backends.linuxcnc import hal_gate as gate_module
-from polishd.sim_backends.linuxcnc.hal_gate import Gate, HalWatchdog, address
-from polishd.sim_backends.linuxcnc.machine import (
+from polishd.sim_backends.linuxcnc.device import (
     AXES,
     STILL_SAMPLES,
     LinuxCncConfig,
@@ -27,6 +26,7 @@ from polishd.sim_backends.linuxcnc.machine import (
     joints_of,
     pose_of,
 )
+from polishd.sim_backends.linuxcnc.hal_gate import Gate, HalWatchdog, address
 from tests.patience import SOON_S
 
 POSE = (1.0, -2.0, 60.0, 15.0, -90.0)

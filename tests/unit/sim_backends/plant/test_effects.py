@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from polishd.config.simulator import Plant, SimConfig, Truth
-from polishd.config.simulator_errors import Effects
+from polishd.config.simulator import Effects, Plant, SimConfig, Truth
 from polishd.model.errors import BatchRequestError
 from polishd.model.process import HybridRobot
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch import BatchPlant
 from polishd.sim_backends.common.mechanics import tip_gives_mm_per_n
 from polishd.sim_backends.plant import effects
-from polishd.sim_backends.plant.removal import hertz_depth_mm, sliding
+from polishd.sim_backends.plant.tool import hertz_depth_mm, sliding
 
 PERFECT = Truth(rate=(0.0, 0.0), stiffness=0.0, drift=0.0, force_noise=0.0, map_noise_nm=0.0)
 

@@ -18,8 +18,7 @@ from polishd.process.robot.compliance import measured_compliance, tip_compliance
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.hidden_truth import tool_axis
 from polishd.sim_backends.plant.part import Shape
-from polishd.sim_backends.plant.removal import MeasuredStamp, contact_radius_mm, hertz_depth_mm, wear
-from polishd.sim_backends.plant.tool import giving
+from polishd.sim_backends.plant.tool import MeasuredStamp, contact_radius_mm, giving, hertz_depth_mm, wear
 
 SPHERE = {"curvature_radius_mm": 800.0}
 OPTICS = {

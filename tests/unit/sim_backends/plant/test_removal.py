@@ -12,8 +12,7 @@ from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot.compliance import tip_compliance_mm_per_n
 from polishd.sim_backends.common.hidden_truth import Frames, rotation_rpy, tool_axis
-from polishd.sim_backends.plant.removal import hertz_depth_mm, wear, worn_depth_mm
-from polishd.sim_backends.plant.tool import given_way
+from polishd.sim_backends.plant.tool import given_way, hertz_depth_mm, wear, worn_depth_mm
 
 TOOL = ToolProcess()
 DIP = math.radians(15.0)

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant, SimConfig, Truth
-from polishd.config.simulator_errors import Effects
+from polishd.config.simulator import Effects, Plant, SimConfig, Truth
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.batch import BatchPlant
 from polishd.sim_backends.plant.tool import ForceDynamics

@@ -20,7 +20,7 @@ from polishd.sim_backends.plc_robot.controller import (
     Plc,
     PlcProgram,
 )
-from polishd.sim_backends.plc_robot.servers import ModbusServer
+from polishd.sim_backends.plc_robot.device import ModbusServer
 from tests.fakes.handover import FakePlc
 
 PROGRAM = b"G1 X1 F60\nG1 X2\nG4 P0.5 (polishd)\nM0 (polishd)\nG1 X3\nM2\n"

@@ -12,7 +12,7 @@ import pytest
 
 from polishd.config.simulator import SimRobotSection
 from polishd.sim_backends.common import framing as f
-from polishd.sim_backends.robot.controller import Client, SimRobotController
+from polishd.sim_backends.robot.device import Client, SimRobotController
 from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.trajectory import Limits
 

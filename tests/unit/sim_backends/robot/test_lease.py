@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from polishd.sim_backends.common import framing as f
-from polishd.sim_backends.robot.controller import BACKLOG, CHUNK, Client, Lease
+from polishd.sim_backends.robot.device import BACKLOG, CHUNK, Client, Lease
 from tests.unit.sim_backends.robot.test_controller import LINES, Bench, credits_told, executed, kinds, last, naks
 
 
