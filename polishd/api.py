@@ -94,7 +94,7 @@ from polishd.model.surface import Grid, SurfaceMap, SurfaceStats
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.removal.convolution import ConvolutionEffect
 from polishd.process.removal.effect import Effect, SparseEffect
-from polishd.util.secret_files import SecretPlace, read_secret, redact_secrets
+from polishd.util.files import SecretPlace, read_secret, redact_secrets
 
 if TYPE_CHECKING:
     from polishd.drivers.transport.address import Address, SerialLine, Tcp, line_address, parse_address

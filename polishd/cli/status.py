@@ -1,25 +1,75 @@
 """``polishd status``, and commands to the running daemon.
 
-They need only the cell's name and socket. For a short start they import neither numpy nor config models.
+They need only the cell's name and state folder, and work even if the file was damaged while the daemon runs. For a
+short start they import neither numpy nor config models.
 """
 
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from polishd.config.cell_summary import CellSummary, cell_summary
 from polishd.daemon.runtime.exit_record import EndCause, for_cell, last_ending
 from polishd.daemon.socket import client
-from polishd.model.errors import NoDaemon
+from polishd.model.errors import ConfigError, NoDaemon
 from polishd.model.states import CellSafety
 from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import emit, key_table, say
 from polishd.util.command_line import terminal_user
+from polishd.util.files import toml_text
+
+
+@dataclass(frozen=True, slots=True)
+class CellSummary:
+    """Name and state folder of a cell."""
+
+    name: str
+    """As ``cell.name``."""
+    state_dir: Path
+    """As ``CellConfig.state_dir``, absolute."""
+
+
+def cell_summary(path: Path) -> CellSummary:
+    """Read the summary from a cell's file; raise the ConfigError of ``load_config`` if that fails."""
+    try:
+        name, state_dir = (_cell_value(path, key) for key in ("name", "state_dir"))
+    except (ConfigError, ValueError, LookupError):
+        from polishd.config.cell import load_config  # its error names the fault and its line
+
+        config = load_config(path)
+        return CellSummary(config.cell.name, config.state_dir)
+    return CellSummary(name, path.absolute().parent / Path(state_dir).expanduser())
+
+
+def _cell_value(path: Path, key: str) -> str:
+    """Return the value of that key of ``[cell]``: that of the last fragment which has it, or of the file."""
+    raw = _read(path)
+    fragments = [_read(path.parent / Path(name).expanduser()) for name in _included_files(raw)]
+    values = [part["cell"][key] for part in (raw, *fragments) if key in part.get("cell", {})]
+    if not values or not isinstance(values[-1], str) or not values[-1]:
+        raise LookupError(key)
+    return values[-1]
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    found = tomllib.loads(toml_text(path))
+    if not isinstance(found.get("cell", {}), dict):
+        raise LookupError("cell")
+    return found
+
+
+def _included_files(raw: Mapping[str, Any]) -> list[str]:
+    names = raw.get("include", [])
+    if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
+        raise LookupError("include")
+    return names
+
 
 # The last lines of ``polishd run``, for the operator: is the cell safe, which device did not confirm, what to do next.
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from polishd.config.fields import ConfigSection, Name, Text, as_tuple
 from polishd.config.process_sections import PartDocument
 from polishd.config.toml_loader import TomlDocument, load_toml
-from polishd.util.secret_files import SecretPlace
+from polishd.util.files import SecretPlace
 
 # ``[opcua]``: identification of a cell to plant systems over OPC UA (docs/plant-systems.md).
 

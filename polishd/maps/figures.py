@@ -12,10 +12,10 @@ import numpy as np
 from polishd.maps.map_files import band_names, history_record, mask_map, mask_records
 from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
-from polishd.process.metrology import iso10110
 from polishd.process.metrology.spectra import split_bands
 from polishd.process.metrology.statistics import Removal, pv_rms, remove_terms, trim_mask
 from polishd.process.metrology.statistics import slope as metrics_slope
+from polishd.process.metrology.tolerance import irregularity
 from polishd.process.metrology.zernike import pvr as metrics_pvr
 
 HEIGHTS = {"pv_nm": "PV", "rms_nm": "RMS", "pv_tilt_removed_nm": "PV level", "rms_tilt_removed_nm": "RMS level"}
@@ -113,7 +113,7 @@ def band_records(
 def _more(level_nm: FloatArray, mask: BoolArray, pitch_mm: float | None) -> dict[str, Any]:
     """PVr, ISO 10110-5 and slope, tilt removed; None where there are too few samples."""
     pvr = _or_none(lambda: metrics_pvr(level_nm, mask, PVR_TERMS))
-    iso = _or_none(lambda: iso10110.irregularity(level_nm, mask))
+    iso = _or_none(lambda: irregularity(level_nm, mask))
     slope = None if pitch_mm is None else _or_none(lambda: metrics_slope(level_nm, mask, pitch_mm))
     return {
         "pvr_nm": None if pvr is None else pvr.pvr_nm,

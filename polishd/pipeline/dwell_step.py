@@ -23,11 +23,10 @@ from polishd.pipeline.records import EstimatesInUse, MeasureResult, SolveResult
 from polishd.pipeline.steps import CachedEffect, effect_of, envelope_of, initial_estimates
 from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.lower_bound import prove_lower_bound
-from polishd.process.dwell.problem import DwellProblem, negligible_share
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, negligible_share
 from polishd.process.dwell.quadratic import choose_piston_nm, regularisation_from_rho
 from polishd.process.dwell.residual_curve import CurvePoint as Chosen
 from polishd.process.dwell.residual_curve import Row, Solve, price_curve, solve_to_target, solve_within_budget
-from polishd.process.dwell.time_limit import TimeLimit
 from polishd.process.metrology.edge_extension import extend_surface
 from polishd.process.metrology.spectra import band_rms
 from polishd.process.metrology.tolerance import unreachable_lines

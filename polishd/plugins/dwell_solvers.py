@@ -36,9 +36,8 @@ from polishd.process.dwell import (
     newton_cg,
 )
 from polishd.process.dwell.certificate import certify_dwell
-from polishd.process.dwell.problem import check
+from polishd.process.dwell.problem import SLOWEST, TimeLimit, check
 from polishd.process.dwell.quadratic import condition
-from polishd.process.dwell.time_limit import SLOWEST, TimeLimit
 from polishd.process.removal.spread_effect import SpreadEffect
 
 # The default solver: the fastest of polishd's for the effect at hand.

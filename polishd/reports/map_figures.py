@@ -14,10 +14,10 @@ from polishd.maps.figures import ISO_KEYS, MapFigures
 from polishd.model.errors import MapError, SurfaceError
 from polishd.model.surface import FloatArray, Grid
 from polishd.model.tolerance import LineResult, ToleranceLine, part_holds
-from polishd.process.metrology import iso10110, zernike
+from polishd.process.metrology import zernike
 from polishd.process.metrology.spectra import radial_psd
 from polishd.process.metrology.statistics import Removal, remove_terms, slope, slope_map
-from polishd.process.metrology.tolerance import judge_lines
+from polishd.process.metrology.tolerance import irregularity, judge_lines, reflected_wavefront, surface_form
 from polishd.process.metrology.zernike import FIRST, Ordering, primary
 
 T = TypeVar("T")
@@ -94,7 +94,7 @@ def reported(found: MapFigures, options: MapReportOptions) -> MapReportData:
     pitch = found.surface.pitch_mm
     grid = Grid(mask.shape[0], mask.shape[1], 1.0 if pitch is None else pitch)
     fitted = finder.some("Zernike", lambda: zernike.fit(level, mask, options.terms, options.ordering))
-    iso = finder.some("ISO 10110-5", lambda: iso10110.irregularity(level, mask))
+    iso = finder.some("ISO 10110-5", lambda: irregularity(level, mask))
     slopes = finder.scaled("slope", lambda pitch_mm: slope(level, mask, pitch_mm))
     psd = finder.scaled("PSD", lambda pitch_mm: radial_psd(level, mask, pitch_mm))
     judged = _judged(found, options)
@@ -115,8 +115,8 @@ def reported(found: MapFigures, options: MapReportOptions) -> MapReportData:
         "indications": None
         if iso is None
         else {
-            "iso10110_5": iso10110.surface_form(iso),
-            "iso10110_14": iso10110.reflected_wavefront(iso),
+            "iso10110_5": surface_form(iso),
+            "iso10110_14": reflected_wavefront(iso),
         },
         "slope": None if slopes is None else asdict(slopes),
         "place_unit": "px" if pitch is None else "mm",

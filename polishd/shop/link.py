@@ -34,8 +34,7 @@ from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError,
 from polishd.model.events import PassProgressed, ShopRateReceived
 from polishd.plugin_loader import Hooks
 from polishd.shop.database import CellReport
-from polishd.util.files import make_folder, write_atomic
-from polishd.util.secret_files import read_secret, redact_secrets
+from polishd.util.files import make_folder, read_secret, redact_secrets, write_atomic
 
 # Requests of a cell to its shop: HTTP with its token, over TLS or on this computer.
 

@@ -16,8 +16,7 @@ from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
 from polishd.sim_backends.common.voice_coil import COIL_FAULTS, CoilDynamics, VoiceCoil
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
-from polishd.sim_backends.profile_device.device import Slave, by_profile
-from polishd.sim_backends.profile_device.machine import ForceDrive
+from polishd.sim_backends.profile_device.device import ForceDrive, Slave, by_profile
 
 # The voice-coil actuator's process.
 

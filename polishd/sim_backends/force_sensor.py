@@ -12,9 +12,9 @@ import numpy as np
 from polishd.config.simulator import FaultSection, SimForceSensorSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
-from polishd.sim_backends.common.numbered_lines import Answer, serve
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import Message, SimRuntime
+from polishd.sim_backends.common.wire import Answer, serve
 
 # The load cell and its amplifier. Pure of I/O; the caller passes wall times.
 

@@ -10,9 +10,9 @@ from typing import Literal
 from urllib.parse import quote, unquote
 
 from polishd.config.simulator import LoaderFaults, SimLoaderSection
-from polishd.sim_backends.common.numbered_lines import Answer, serve
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
+from polishd.sim_backends.common.wire import Answer, serve
 
 # The behavior of the loader, for every protocol. Pure of I/O; the caller passes wall times.
 

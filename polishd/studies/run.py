@@ -19,7 +19,7 @@ from polishd.config.sweep import SweepStudy, load_swept
 from polishd.model.errors import ConfigError
 from polishd.pipeline.records import facts_of
 from polishd.rendering.terminal import json_line, say, stderr, stdout
-from polishd.studies import output, pictures
+from polishd.studies import output
 from polishd.studies.case_runner import closed_loop, looped, read, run_of
 from polishd.studies.cases import Case, cases_of
 from polishd.studies.corrections import ProgressReport, compare_corrections
@@ -98,7 +98,7 @@ class StudyResult:
     rows: list[dict[str, Any]] | dict[str, Any]
     tables: list[Table]
     notes: list[str]
-    pictures: Mapping[str, pictures.Draw]
+    pictures: Mapping[str, output.Draw]
     """Pictures by file name."""
     pages: Mapping[str, str] = field(default_factory=dict)
     """Text pages by file name."""
@@ -150,15 +150,15 @@ def _answer(study: Study, report_progress: ProgressReport) -> StudyResult:
         compared = compare_corrections(study, read, report_progress)
         rows = [facts_of(row) for row in compared.rows]
         shown = output.correction_tables(study.title, compared)
-        return StudyResult(rows, shown, output.correction_notes(compared), pictures.of_corrections(compared))
+        return StudyResult(rows, shown, output.correction_notes(compared), output.of_corrections(compared))
     if isinstance(study, SpotsStudy):
         spots = compute_spots(study, report_progress)
         shown = output.spot_tables(study, spots)
-        return StudyResult([row.as_json() for row in spots], shown, output.spot_notes(spots), pictures.of_spots(spots))
+        return StudyResult([row.as_json() for row in spots], shown, output.spot_notes(spots), output.of_spots(spots))
     assert isinstance(study, PassesStudy)  # noqa: S101  loops have many cases
     polished = polish_evenly(study, report_progress)
     shown = [output.passes_table(study, polished)]
-    return StudyResult([polished.as_json()], shown, list(polished.notes), pictures.of_passes(polished))
+    return StudyResult([polished.as_json()], shown, list(polished.notes), output.of_passes(polished))
 
 
 def _of_many(study: Study, rows: Rows, *, is_sweep: bool) -> StudyResult:
@@ -168,7 +168,7 @@ def _of_many(study: Study, rows: Rows, *, is_sweep: bool) -> StudyResult:
     found = looped([run_of(row) for row in rows], study.all_scenarios())
     shown = [output.loop_table(study.title, found), output.confusion_table(study.title, found)]
     pages = {output.FILE: output.confusion_page(found)}
-    return StudyResult(found.as_json(), shown, output.loop_notes(found), pictures.of_loops(found), pages)
+    return StudyResult(found.as_json(), shown, output.loop_notes(found), output.of_loops(found), pages)
 
 
 def _summed(title: str, rows: Rows) -> StudyResult:

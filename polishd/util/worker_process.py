@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, NoReturn, Self, cast
 from polishd.model.errors import ComputeError, FrameError, WorkerError
 from polishd.util import array_stream
 from polishd.util.array_stream import Arrays, Message
-from polishd.util.secret_files import environment_without_secrets
+from polishd.util.files import environment_without_secrets
 
 LOOK_S = 0.1
 """Time between two looks at what a worker has used."""

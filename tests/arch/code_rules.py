@@ -204,7 +204,7 @@ def _reached(start: str, imports: Mapping[str, set[str]]) -> set[str]:
 DECLARATIONS = {"DeviceType": "port", "SimDevice": "device"}
 """Calls that declare a device, with the argument that names its section."""
 LISTS_OF_DEVICES = (
-    "commissioning/rehearsal/devices.py",  # options that a cell's devices have otherwise in a rehearsal
+    "commissioning/rehearsal/draft.py",  # options that a cell's devices have otherwise in a rehearsal
     "config/simulator_cell.py",  # turns sections of a cell into those of SIM.toml, by type
     "config/simulator.py",  # sections that several simulated devices share, by `kind` and `drive`
     "plugin_loader.py",  # plugin names of before, which are refused with the new ones

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
-from polishd.sim_backends.profile_device.device import by_profile
-from polishd.sim_backends.profile_device.machine import Gauge, Inverter, ProfileDeviceModel
+from polishd.sim_backends.profile_device.device import Gauge, Inverter, ProfileDeviceModel, by_profile
 from tests.fakes.actuator import Coil
 from tests.fakes.wires import Peer
 

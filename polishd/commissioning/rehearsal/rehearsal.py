@@ -14,19 +14,17 @@ from pathlib import Path
 
 import tomlkit
 
-from polishd.commissioning.rehearsal.devices import (
+from polishd.commissioning.rehearsal.draft import (
+    REQUEST,
+    SIM_STATE,
+    RehearsalDraft,
     add_actuator,
     add_line,
     add_monitors,
     add_robot,
     add_spindle,
-    is_simulated,
-)
-from polishd.commissioning.rehearsal.draft import (
-    REQUEST,
-    SIM_STATE,
-    RehearsalDraft,
     cell_text,
+    is_simulated,
     put_kind,
     require_apart,
     sim_text,

@@ -24,7 +24,7 @@ from polishd.daemon.runtime.installed import installed_at_start, installed_now, 
 from polishd.daemon.runtime.process import compute_last
 from polishd.model.errors import ComputeError, HostFault, PolishdError, WorkerError
 from polishd.pipeline.recipe import CpuLimit
-from polishd.process.dwell.time_limit import backstop_s
+from polishd.process.dwell.problem import backstop_s
 from polishd.util.array_stream import Message
 from polishd.util.worker_main import AnswerFunction
 from polishd.util.worker_process import WorkerLimit, WorkerProcess

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, NamedTuple
 
 from polishd.model.errors import ProgramError
-from polishd.util.secret_files import environment_without_secrets
+from polishd.util.files import environment_without_secrets
 
 LIMIT_S = 900.0
 """Longest run: a million lines take 8 s; the limit ends an endless loop."""

@@ -19,7 +19,7 @@ from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Variables
 from polishd.drivers.transport.address import tcp_address
-from polishd.util.secret_files import SecretPlace, require_private
+from polishd.util.files import SecretPlace, require_private
 
 # The keys of ``[robot]`` with ``type = "plc_robot"``: docs/plc-robot.md.
 

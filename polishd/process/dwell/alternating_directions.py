@@ -24,9 +24,8 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.certificate import certify_dwell, gap_at
-from polishd.process.dwell.problem import DwellProblem, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
 from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
-from polishd.process.dwell.time_limit import TimeLimit
 from polishd.process.fft.simd import COUNT, load, store
 from polishd.process.fft.transforms import (
     FftPlanArrays,

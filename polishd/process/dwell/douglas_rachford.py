@@ -19,9 +19,8 @@ from polishd.model.dwell import DwellSolution, Start
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.certificate import certify_dwell
-from polishd.process.dwell.problem import DwellProblem, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, warm_start_s
-from polishd.process.dwell.time_limit import TimeLimit
 from polishd.process.fft.simd import COUNT, least, load, most, splat, store
 from polishd.process.fft.transforms import (
     FftFields,

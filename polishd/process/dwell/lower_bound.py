@@ -24,9 +24,8 @@ import numpy as np
 from polishd.model.dwell import DwellSolution
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.alternating_directions import coarse_problem
-from polishd.process.dwell.problem import DwellProblem
+from polishd.process.dwell.problem import DwellProblem, TimeLimit
 from polishd.process.dwell.quadratic import Product, QuadraticObjective, quadratic
-from polishd.process.dwell.time_limit import TimeLimit
 from polishd.process.removal.spread_effect import SpreadEffect
 
 ROUNDS, STEPS = 8, 60

@@ -12,8 +12,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.certificate import certify_dwell
-from polishd.process.dwell.problem import DwellProblem, check
-from polishd.process.dwell.time_limit import TimeLimit
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
 
 NAME = "lucy_richardson"
 ITERATIONS = 100

@@ -15,9 +15,8 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.dwell.certificate import certify_dwell
-from polishd.process.dwell.problem import DwellProblem, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
 from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
-from polishd.process.dwell.time_limit import TimeLimit
 
 NAME = "newton_cg"
 MAX_ROUNDS = 500

@@ -18,8 +18,7 @@ from pydantic import ValidationError
 
 from polishd.model.errors import ConfigError
 from polishd.reports.certificate.model import SCHEMA, PartCertificate, Seal, Signature
-from polishd.util.files import write_atomic
-from polishd.util.secret_files import require_private
+from polishd.util.files import require_private, write_atomic
 
 ID_DIGITS = 16
 SEAL = "seal"

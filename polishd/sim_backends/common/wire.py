@@ -1,4 +1,7 @@
-"""A device's link, serial or TCP, with its faults: bytes in, bytes out."""
+"""A device's link, serial or TCP, with its faults: bytes in, bytes out.
+
+A device that only answers numbered lines (the framing of docs/protocols/loader.md) is served here, too.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,16 @@ import asyncio
 import contextlib
 import os
 import signal
+import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from polishd.config.simulator import SimLineSection
 from polishd.sim_backends.common.faults import PROTOCOLS, FaultScript, FrameAction, LinkDirection, protocols
+from polishd.sim_backends.common.framing import MAX_LINE, body, line
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime
 
 # Frames on their way through a link: late, lost and damaged as the script demands, at the speed of the line.
@@ -261,3 +266,57 @@ class PtyPort:
             return
         if data:
             self.on_bytes(data)
+
+
+# The device side of numbered lines, for devices that only answer.
+
+Answer = Callable[[str], str]
+"""Returns the answer to a request."""
+
+
+class LineDeviceModel(Protocol):
+    """The machine behind the line."""
+
+    def step(self, now_s: float) -> None:
+        """Advance to the present."""
+        ...
+
+
+@dataclass(slots=True)
+class NumberedSlave:
+    """Answer each intact line by one line."""
+
+    answer: Answer
+    _buffer: bytes = b""
+
+    def feed(self, data: bytes) -> Iterable[bytes]:
+        """Return the answer to each whole request."""
+        self._buffer += data
+        while b"\n" in self._buffer:
+            raw, self._buffer = self._buffer.split(b"\n", 1)
+            number, _, request = (body(raw.rstrip(b"\r")) or "").partition(",")
+            if number.isdigit() and int(number) <= 65535:
+                yield line(f"{number},{self.answer(request)}")
+        self._buffer = self._buffer[-MAX_LINE:]
+
+
+async def serve(
+    runtime: SimRuntime, config: SimLineSection, machine: LineDeviceModel, answer: Answer, tick_s: float
+) -> None:
+    """Answer for the machine until cancelled. It is advanced before each answer and every ``tick_s``."""
+
+    def receiver(outlet: FaultyLink) -> Feed:
+        slave = NumberedSlave(answer)
+
+        def feed(data: bytes) -> None:
+            machine.step(time.monotonic())
+            for reply in slave.feed(data):
+                outlet.send(reply)
+
+        return feed
+
+    wire = SimWire(runtime, receiver)
+    wire.ready(await wire.open_line(config))
+    while True:
+        machine.step(time.monotonic())
+        await asyncio.sleep(tick_s)

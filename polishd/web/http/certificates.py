@@ -16,7 +16,7 @@ from cryptography import x509
 from polishd.config.server_sections import WebSection
 from polishd.config.toml_loader import TomlDocument
 from polishd.model.errors import ConfigError, PolishdError
-from polishd.util.secret_files import require_private
+from polishd.util.files import require_private
 
 log = logging.getLogger(__name__)
 

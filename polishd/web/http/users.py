@@ -17,8 +17,7 @@ from starlette.requests import Request
 
 from polishd.config.cell import CellConfig
 from polishd.model.errors import ConfigError
-from polishd.util.files import make_folder, write_atomic
-from polishd.util.secret_files import require_private
+from polishd.util.files import make_folder, require_private, write_atomic
 from polishd.web.http.server import LoginLockout
 
 FILE_NAME = "web-users.json"

@@ -1,4 +1,4 @@
-"""The table of states, and its copy in docs/cycle.md."""
+"""The table of states and its copy in docs/cycle.md: each row leads where it says, with a person there and without."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon.socket.client import VERBS
-from polishd.daemon.state_machine import DOES, ORDERS, TRANSITIONS, StateEvent, following, obeyed
+from polishd.daemon.state_machine import DOES, ORDERS, TRANSITIONS, StateEvent, StateTransition, following, obeyed
 from polishd.model.states import DaemonState
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
@@ -68,3 +68,9 @@ def test_an_order_is_obeyed_where_it_leads() -> None:
         StateEvent.STOP: {DaemonState.FINISHED},
         StateEvent.ESTOP: {DaemonState.HELD, DaemonState.FINISHED},
     }
+
+
+@pytest.mark.parametrize("row", TRANSITIONS)
+def test_each_way_leads_where_it_says(row: StateTransition) -> None:
+    assert following(row.source, row.trigger) is row.target, "attended is the default"
+    assert following(row.source, row.trigger, unattended=True) is (row.unattended or row.target)

@@ -11,7 +11,7 @@ from polishd.config.simulator import SEVEN, FaultSection, SimForceSensorSection,
 from polishd.sim_backends import force_sensor as sensor_device
 from polishd.sim_backends import monitor as monitor_device
 from polishd.sim_backends.common.framing import body
-from polishd.sim_backends.common.numbered_lines import NumberedSlave
+from polishd.sim_backends.common.wire import NumberedSlave
 from polishd.sim_backends.force_sensor import FAULT, MEASURING, TARING, LoadCell
 from polishd.sim_backends.monitor import Inputs
 from polishd.sim_backends.plant.world import Timeline

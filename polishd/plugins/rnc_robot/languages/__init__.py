@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
-from polishd.plugins.rnc_robot.languages.reader import read
-from polishd.plugins.rnc_robot.languages.rewriter import rewrite, split
+from polishd.plugins.rnc_robot.languages.program import read, rewrite, split
 
 __all__ = ["LanguageProfile", "parse", "read", "rewrite", "split"]

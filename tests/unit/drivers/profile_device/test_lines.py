@@ -14,7 +14,7 @@ from polishd.drivers.profile_device import build
 from polishd.drivers.profile_device.drives import ProfiledActuator
 from polishd.drivers.profile_device.links import LineWire
 from polishd.drivers.transport.address import SerialLine, Tcp
-from polishd.sim_backends.profile_device.machine import Gauge
+from polishd.sim_backends.profile_device.device import Gauge
 from tests.fakes.devices_by_profile import file_of, shipped
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, gauge
 from tests.fakes.wires import Once, PtyWire, TcpWire

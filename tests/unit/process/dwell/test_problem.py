@@ -1,7 +1,8 @@
-"""Each malformed dwell problem is refused with one clear message."""
+"""Each malformed dwell problem is refused with one clear message; a solve has CPU seconds and a backstop."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import sparse
 from polishd.model.errors import ComputeError
 from polishd.model.surface import Grid
 from polishd.process.dwell.newton_cg import solve
-from polishd.process.dwell.problem import DwellProblem, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, backstop_s, check
 from polishd.process.removal.effect import SparseEffect
 from tests.unit.process.gaussian import dwell_problem, scaled
 
@@ -116,3 +117,33 @@ class Twisted:
 def test_effects_that_are_no_matrix_are_judged_by_their_adjoint(answer: np.ndarray, message: str) -> None:
     with pytest.raises(ComputeError, match=message):
         check(replace(GOOD, effect=Twisted(answer)))
+
+
+class Clocks:
+    """CPU and wall time as the test says."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.cpu = self.wall = 100.0
+        monkeypatch.setattr(time, "thread_time", lambda: self.cpu)
+        monkeypatch.setattr(time, "monotonic", lambda: self.wall)
+
+
+def test_only_cpu_seconds_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks = Clocks(monkeypatch)
+    limit = TimeLimit(10.0)
+    clocks.wall += backstop_s(10.0) - 0.1
+    clocks.cpu += 9.0
+    assert not limit.expired()
+    assert limit.left_s == pytest.approx(1.0)
+    assert str(limit) == "9.0 s of CPU time and 159.9 s of wall time"
+    clocks.cpu += 1.0
+    assert limit.expired()
+    assert limit.left_s == 0.0
+
+
+def test_what_uses_no_cpu_ends_at_the_backstop(monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks = Clocks(monkeypatch)
+    limit = TimeLimit(10.0)
+    clocks.wall += 160.0
+    assert limit.expired()
+    assert limit.left_s == 0.0

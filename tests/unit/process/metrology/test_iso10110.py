@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from polishd.model.errors import MapError
 from polishd.model.surface import FloatArray, Grid
-from polishd.process.metrology import iso10110
 from polishd.process.metrology.spectra import band_rms, compare_maps, radial_psd
 from polishd.process.metrology.statistics import pv_rms, remove_terms, slope, slope_map
+from polishd.process.metrology.tolerance import irregularity
 from tests.unit.process.gaussian import rough
 from tests.unit.process.masked import shapes
 
@@ -24,27 +24,27 @@ MASKS = shapes(GRID)
 
 class TestIso10110:
     def test_a_sphere_is_a(self) -> None:
-        found = iso10110.irregularity(300 * R**2 + 5 * X - 3 * Y + 8, DISC)
+        found = irregularity(300 * R**2 + 5 * X - 3 * Y + 8, DISC)
         assert found.a_nm == pytest.approx(300, rel=1e-9)
         assert max(found.b_nm, found.c_nm, found.rms_i_nm, found.rms_a_nm) < 1e-9
         assert found.rms_t_nm == pytest.approx(300 * (R**2)[DISC].std(), rel=1e-9)
 
     def test_astigmatism_is_b_and_not_c(self) -> None:
-        found = iso10110.irregularity(50 * R**2 * np.cos(2 * np.arctan2(Y, X)), DISC)
+        found = irregularity(50 * R**2 * np.cos(2 * np.arctan2(Y, X)), DISC)
         assert found.b_nm == pytest.approx(100, rel=1e-6)
         assert max(found.a_nm, found.c_nm) < 1e-6
         assert found.rms_a_nm == pytest.approx(found.rms_i_nm, rel=1e-9)
 
     def test_a_zone_is_c(self) -> None:
         zone = 90 * (6 * R**4 - 6 * R**2 + 1)  # primary spherical: -0.5 ... 1
-        found = iso10110.irregularity(zone, DISC)
+        found = irregularity(zone, DISC)
         assert found.c_nm == pytest.approx(found.b_nm, rel=1e-9)
         assert found.c_nm == pytest.approx(135, rel=0.02)
         assert found.a_nm < 5  # the discrete disc's r^2 and r^4 are not quite orthogonal
         assert found.rms_a_nm < 1e-9
 
     def test_parts_add_up_in_squares(self) -> None:
-        found = iso10110.irregularity(rough(GRID, seed=3), DISC)
+        found = irregularity(rough(GRID, seed=3), DISC)
         assert found.rms_a_nm < found.rms_i_nm < found.rms_t_nm
         sphere = np.sqrt(found.rms_t_nm**2 - found.rms_i_nm**2)
         assert sphere == pytest.approx(found.a_nm * (R**2)[DISC].std(), rel=0.01)
@@ -53,20 +53,20 @@ class TestIso10110:
     @given(st.sampled_from(sorted(MASKS)), st.floats(-900, 900), st.floats(-9, 9), st.floats(-9, 9))
     def test_piston_and_tilt_do_not_matter(self, name: str, c: float, a: float, b: float) -> None:
         mask, height = MASKS[name], rough(GRID, seed=4)
-        plain = iso10110.irregularity(height, mask)
-        moved = iso10110.irregularity(height + c + a * X + b * Y, mask)
+        plain = irregularity(height, mask)
+        moved = irregularity(height + c + a * X + b * Y, mask)
         for figure in ("a_nm", "b_nm", "c_nm", "rms_t_nm", "rms_i_nm", "rms_a_nm"):
             assert getattr(moved, figure) == pytest.approx(getattr(plain, figure), rel=1e-7, abs=1e-7)
 
     def test_the_axis_can_be_named(self) -> None:
         off = np.hypot(X - 5, Y) / 40
         zone = 90 * (6 * off**4 - 6 * off**2)
-        where = iso10110.irregularity(zone, DISC, centre_px=(80.0, 90.0))
-        assert where.rms_a_nm < iso10110.irregularity(zone, DISC).rms_a_nm / 1.8
+        where = irregularity(zone, DISC, centre_px=(80.0, 90.0))
+        assert where.rms_a_nm < irregularity(zone, DISC).rms_a_nm / 1.8
 
     def test_refusals(self) -> None:
         with pytest.raises(MapError, match="no sample"):
-            iso10110.irregularity(X, ~(DISC | ~DISC))
+            irregularity(X, ~(DISC | ~DISC))
 
 
 class TestSlope:

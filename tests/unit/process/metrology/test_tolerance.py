@@ -1,4 +1,4 @@
-"""The drawing's lines on surfaces whose figures are known in closed form."""
+"""The drawing's lines on surfaces whose figures are known in closed form, and maps less the form wanted."""
 
 from __future__ import annotations
 
@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 
 from polishd.model.errors import MapError
-from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.model.tolerance import ToleranceLine, part_holds, worst_line
-from polishd.process.metrology import iso10110
-from polishd.process.metrology.tolerance import judge_lines, lines_below_cutoff, tolerance_notes, unreachable_lines
+from polishd.process.metrology.resampling import Registration
+from polishd.process.metrology.tolerance import (
+    irregularity,
+    judge_lines,
+    lines_below_cutoff,
+    subtract_nominal,
+    tolerance_notes,
+    unreachable_lines,
+)
 
 PITCH = 0.5
 GRID = Grid(241, 241, PITCH)
@@ -54,7 +61,7 @@ def test_the_pv_of_a_band_is_read_high_at_the_rim() -> None:
 
 def test_form_figures_are_those_of_iso_10110() -> None:
     height = BOTH + 40.0 * (GRID.radius_mm() / 50.0) ** 2
-    own = iso10110.irregularity(height, MASK)
+    own = irregularity(height, MASK)
     lines = [ToleranceLine(figure, 1.0) for figure in ("A", "B", "C", "RMSt", "RMSi", "RMSa")]
     found = [one.value for one in judge_lines(lines, height, MASK, PITCH)]
     assert found == [own.a_nm, own.b_nm, own.c_nm, own.rms_t_nm, own.rms_i_nm, own.rms_a_nm]
@@ -138,3 +145,38 @@ def test_what_the_spot_cannot_reach_is_named() -> None:
     assert unreachable_lines(lines, BOTH, MASK, PITCH, 3.0) == ()
     assert unreachable_lines(lines, BOTH, MASK, PITCH, 0.9) == ()
     assert lines_below_cutoff(lines, 6.0) == (lines[2],)
+
+
+def form_nm(x: FloatArray, y: FloatArray) -> FloatArray:
+    return 3.0 * x - 2.0 * y + 0.5 * x * y  # bilinear: interpolation is exact
+
+
+NOMINAL = SurfaceMap(form_nm(*np.meshgrid(Grid(61, 61, 1.0).x_mm, Grid(61, 61, 1.0).y_mm)), 1.0)
+
+
+@pytest.mark.parametrize(
+    "lies", [Registration(), Registration(0.0, (1.3, -0.7)), Registration(30.0, (-2.0, 1.1)), Registration(-90.0)]
+)
+def test_a_part_of_the_wanted_form_has_no_error_wherever_it_lies(lies: Registration) -> None:
+    grid = Grid(40, 50, 0.5)
+    turn = np.radians(lies.rotation_deg)
+    right, up = np.meshgrid(grid.x_mm - lies.shift_mm[0], grid.y_mm - lies.shift_mm[1])
+    x, y = np.cos(turn) * right + np.sin(turn) * up, np.cos(turn) * up - np.sin(turn) * right
+    error = np.random.default_rng(3).normal(0.0, 5.0, grid.shape)
+    error[4, 5] = np.nan
+    found = subtract_nominal(SurfaceMap(form_nm(x, y) + error, 0.5), NOMINAL, lies)
+    np.testing.assert_allclose(found.height_nm, error, atol=1e-9)
+
+
+def test_where_the_form_says_nothing_there_is_no_error() -> None:
+    large = SurfaceMap(np.zeros((200, 200)), 0.5)
+    found = subtract_nominal(large, NOMINAL, Registration())
+    inside = np.maximum(*np.abs(np.meshgrid(large.grid.x_mm, large.grid.y_mm))) <= 30.0
+    np.testing.assert_array_equal(found.valid, inside)
+
+
+def test_both_need_a_scale() -> None:
+    flat = SurfaceMap(np.zeros((9, 9)), 1.0)
+    for surface, nominal in ((flat, SurfaceMap(np.zeros((9, 9)), None)), (SurfaceMap(np.zeros((9, 9)), None), flat)):
+        with pytest.raises(MapError, match="lateral scale"):
+            subtract_nominal(surface, nominal, Registration())

@@ -6,7 +6,7 @@ import pytest
 
 from polishd.config.simulator import FaultSection
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
-from polishd.sim_backends.profile_device.machine import Inverter
+from polishd.sim_backends.profile_device.device import Inverter
 from tests.fakes.devices_by_profile import file_of
 
 RUNNING = {"set_point": 300.0, "direction": 0.0, "run": 1.0}

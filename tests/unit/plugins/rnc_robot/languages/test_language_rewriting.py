@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.languages import read, rewrite
-from polishd.plugins.rnc_robot.languages.rewriter import styled
+from polishd.plugins.rnc_robot.languages.program import styled
 from polishd.plugins.rnc_robot.verify import verify
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, around, many, profile
 
