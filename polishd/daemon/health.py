@@ -21,7 +21,7 @@ from typing import Any
 
 from polishd.daemon.assembly import NoJob
 from polishd.daemon.cell.cell import Cell
-from polishd.daemon.cell.device_polling import root_cause
+from polishd.daemon.cell.device_polling import running_beside
 from polishd.daemon.job.job import Job
 from polishd.daemon.job.part_handling import approve
 from polishd.daemon.journal.store import LATE_S
@@ -123,16 +123,8 @@ class Health:
     @asynccontextmanager
     async def watching(self, danger: Callable[[str], None]) -> AsyncIterator[None]:
         """Check all figures inside this block; ``danger`` gets each message at every check while it applies."""
-        try:
-            async with asyncio.TaskGroup() as group:
-                tasks = [group.create_task(self._beat(danger)), group.create_task(self._look_on())]
-                try:
-                    yield
-                finally:
-                    for task in tasks:
-                        task.cancel()
-        except BaseExceptionGroup as errors:
-            raise root_cause(errors) from errors
+        async with running_beside({"check event loop": self._beat(danger), "check disks and memory": self._look_on()}):
+            yield
 
     async def _beat(self, danger: Callable[[str], None]) -> None:
         pressed = False

@@ -10,7 +10,7 @@ import contextlib
 import inspect
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from functools import cached_property
 from inspect import Parameter
 from typing import Any, TypeVar
@@ -73,6 +73,24 @@ async def read_samples(samples: AsyncIterator[T], judge: Callable[[T], None], na
         async with asyncio.TaskGroup() as group:
             group.create_task(listen(), name=f"listen to {name}")
             group.create_task(count_silence(), name=f"count silence of {name}")
+    except BaseExceptionGroup as errors:
+        raise root_cause(errors) from errors
+
+
+@contextlib.asynccontextmanager
+async def running_beside(work: Mapping[str, Coroutine[Any, Any, None]]) -> AsyncIterator[None]:
+    """Run coroutines, by the names of their tasks, inside this block, and cancel them at its end.
+
+    An error of one of them ends the block; the root cause is raised.
+    """
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(one, name=name) for name, one in work.items()]
+            try:
+                yield
+            finally:
+                for task in tasks:
+                    task.cancel()
     except BaseExceptionGroup as errors:
         raise root_cause(errors) from errors
 

@@ -11,7 +11,7 @@ from typing import cast
 
 from polishd.config.toml_loader import join_words
 from polishd.daemon.cell.cell import OPEN_S, Cell
-from polishd.daemon.cell.device_polling import root_cause
+from polishd.daemon.cell.device_polling import running_beside
 from polishd.daemon.contact.progress import low_override
 from polishd.interfaces import Monitor
 from polishd.model.devices import DeviceStatus, SignalLimits, port_of
@@ -33,17 +33,9 @@ AGAIN_S = 1.0
 @asynccontextmanager
 async def monitoring_signals(cell: Cell, on_alarm: Callable[[SignalLimits, str], None]) -> AsyncIterator[None]:
     """Read all monitors inside this block; ``on_alarm`` gets each signal outside its limits, once per contact."""
-    try:
-        async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(_read(cell, name), name=f"read {name}") for name in cell.at("monitor")]
-            tasks.append(group.create_task(_check(cell, on_alarm), name="check signals"))
-            try:
-                yield
-            finally:
-                for task in tasks:
-                    task.cancel()
-    except BaseExceptionGroup as errors:
-        raise root_cause(errors) from errors
+    reads = {f"read {name}": _read(cell, name) for name in cell.at("monitor")}
+    async with running_beside({**reads, "check signals": _check(cell, on_alarm)}):
+        yield
 
 
 async def until_ready(cell: Cell, publish: Callable[[Event], None], cycle: int) -> None:
