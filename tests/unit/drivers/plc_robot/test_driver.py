@@ -1,4 +1,7 @@
-"""The handover driver at a simulated PLC's own variables: what goes wrong at the controller, and what is never done."""
+"""The handover driver at a simulated PLC's own variables: what goes wrong at the controller, and what is never done.
+
+The link that is looked at all the time.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,10 @@ import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, LinkError, Plan
 from polishd.config.controller_profile import ControllerProfile
-from polishd.drivers.plc_robot.driver import PlcRobot
-from tests.fakes.handover import PROFILE, FakePlc, direct
+from polishd.drivers.plc_robot.driver import PlcPoller, PlcRobot
+from polishd.drivers.plc_robot.program_tracker import ControllerReport
+from tests.fakes.handover import PROFILE, Direct, FakePlc, direct
+from tests.patience import SOON_S
 from tests.programs import plan_of
 
 SLOW = 20.0
@@ -214,3 +219,24 @@ def test_its_times_are_the_profiles() -> None:
     )
     robot = PlcRobot("x", changed, list, None)  # type: ignore[arg-type]
     assert (robot.times.watchdog_s, robot.times.unseen_stop_s) == (math.inf, 0.0)
+
+
+async def test_a_clock_that_stands_between_two_looks_is_no_pace_of_nothing(tmp_path: Path) -> None:
+    """A busy controller renews it at every third look: what a dwell may last longer is counted in its seconds."""
+    fake = FakePlc(tmp_path)
+    began_s = time.monotonic()
+    looks, paces = 0, []
+
+    async def look(_: ControllerReport) -> None:
+        nonlocal looks
+        looks += 1
+        if looks % 3 == 0:
+            fake.plc.shown["clock"] = 4.0 * (time.monotonic() - began_s)
+        paces.append(following.pace)
+
+    following = PlcPoller("it", lambda: Direct(fake), PROFILE, look)
+    fake.plc.shown["clock"] = 0.0
+    await following.open()
+    assert await following.until(lambda: looks >= 30, SOON_S)
+    await following.close()
+    assert min(paces[5:]) > 0.0
