@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 from polishd.cli.calibrate import app as calibrations
 from polishd.commissioning.calibration.options import InstrumentOptions
-from polishd.reports.certificate.issue import CertificateOptions
+from polishd.reports.certificate.options import CertificateOptions
 from polishd.util.command_line import Cell, CommandGroup, Json, spread_options
 
 jobs = typer.Typer(help="The queue of a cell: jobs, one after another.")

@@ -220,7 +220,7 @@ def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> 
     assert "ended: SurfaceError" in words[0]
     assert "resume" not in words[0]
     assert words[1:4] == ["tool off the part: yes", "robot at rest: yes", f"run folder: {files.run_dir}"]
-    assert f"when that is mended: polishd run {files.cell};" in words[4]
+    assert f"correct the cause, then: polishd run {files.cell};" in words[4]
 
 
 @pytest.mark.full
@@ -269,7 +269,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert answer.returncode == 5
     assert "actuator" in answer.stderr
     assert "tool off the part: not asked" in answer.stderr
-    assert "when that is mended: polishd run" in answer.stderr.splitlines()[-1]
+    assert "correct the cause, then: polishd run" in answer.stderr.splitlines()[-1]
     assert not files.run_dir.joinpath("cycle-00").exists()
 
 

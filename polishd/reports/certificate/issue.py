@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from typer import Option
+from typing import TYPE_CHECKING, Any
 
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.rendering.terminal import emit, key_table, say
@@ -16,27 +14,9 @@ from polishd.util.files import require_writable, write_atomic
 
 if TYPE_CHECKING:
     from polishd.reports.certificate.content import CertificateDraft, CertificateRequest
+    from polishd.reports.certificate.options import CertificateOptions
 
 PDF, JSON = ".pdf", ".json"
-
-
-@dataclass(frozen=True, slots=True)
-class CertificateOptions:
-    """Options of ``polishd report certificate``."""
-
-    out: Annotated[Path, Option("--out", metavar="FILE.pdf", help="PDF to write, and FILE.json beside it.")]
-    job: Annotated[str | None, Option("--job", metavar="ID", help="Job of CELL.toml; default: the last.")] = None
-    key: Annotated[
-        Path | None, Option("--key", metavar="FILE", help="Key to sign with; default: the cell's certificate.key.")
-    ] = None
-    operator: Annotated[str, Option("--operator", metavar="NAME", help="Person responsible for the certificate.")] = ""
-    customer: Annotated[str, Option("--customer", metavar="NAME", help="Customer.")] = ""
-    drawing: Annotated[str, Option("--drawing", metavar="TEXT", help="Number and revision of the drawing.")] = ""
-    number: Annotated[str, Option("--number", metavar="TEXT", help="Number; default: from job, day and journal.")] = ""
-    shop: Annotated[str, Option("--shop", metavar="NAME", help="Issuer; default: certificate.shop.")] = ""
-    wavelength: Annotated[
-        float, Option("--wavelength", metavar="NM", min=1.0, help="Wavelength of a wave of surface height.")
-    ] = 546.07
 
 
 def certificate_verb(run: Path, options: CertificateOptions, *, as_json: bool) -> None:

@@ -252,9 +252,9 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
     ("state", "unsafe", "tool", "says"),
     [
         ("stopped", (), "yes", "which holds"),
-        ("failed", ("actuator: no answer",), "not confirmed", "when that is mended: polishd run"),
+        ("failed", ("actuator: no answer",), "not confirmed", "correct the cause, then: polishd run"),
         ("cycles_used", (), "yes", "begins a new one"),
-        ("failed", None, "not asked", "when that is mended: polishd run"),
+        ("failed", None, "not asked", "correct the cause, then: polishd run"),
         ("held", (), "yes", "inspect the cell, then: polishd run"),
         ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "inspect the cell, then: polishd run"),
     ],

@@ -10,7 +10,8 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.reports.certificate import signature
-from polishd.reports.certificate.issue import CertificateOptions, certificate_verb
+from polishd.reports.certificate.issue import certificate_verb
+from polishd.reports.certificate.options import CertificateOptions
 from tests.unit.reports.certificate.runs import torn_run, whole_run
 
 
