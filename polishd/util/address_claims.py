@@ -51,8 +51,11 @@ def serial_key(path: Path) -> str:
     if not stat.S_ISCHR(found.st_mode):
         return f"serial:{os.path.realpath(path)}"
     number = f"{os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
-    # pseudo-terminals of two containers share their numbers
-    return f"serial:{number}" + (f"@{found.st_dev}" if os.major(found.st_rdev) in PTY_MAJORS else "")
+    if os.major(found.st_rdev) not in PTY_MAJORS:
+        return f"serial:{number}"
+    # Pseudo-terminals of two containers share their numbers, and so do two that follow each other: without the time
+    # it was made, a claim that outlives its terminal for a moment refused the next one.
+    return f"serial:{number}@{found.st_dev}/{found.st_ctime_ns}"
 
 
 def folder_key(path: Path) -> str:

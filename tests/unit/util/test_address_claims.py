@@ -207,6 +207,22 @@ def test_a_port_has_one_name_whatever_link_leads_to_it(tmp_path: Path) -> None:
     os.close(slave)
 
 
+def test_a_claim_does_not_refuse_the_next_terminal_of_its_number() -> None:
+    """As where a simulated device ends before its driver is closed: the kernel gives the number to the next."""
+    keys: dict[str, set[str]] = {}
+    for _ in range(8):
+        master, slave = os.openpty()
+        name = os.ttyname(slave)
+        keys.setdefault(name, set()).add(key := serial_key(Path(name)))
+        os.write(master, b"x\n")
+        os.read(slave, 8)
+        assert serial_key(Path(name)) == key
+        os.close(slave)
+        os.close(master)
+    assert sum(map(len, keys.values())) == 8
+    assert len(keys) < 8
+
+
 def test_a_folder_has_one_name_whatever_link_leads_to_it(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "maps")
