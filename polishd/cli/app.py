@@ -128,9 +128,9 @@ def root(
 @app.command()
 def demo(
     *,
-    seed: Annotated[int, Option(help="Seed of the simulated cell's hidden parameters")] = 1,
-    speed: Annotated[float, Option(min=1.0, max=200.0, help="Process time per wall time")] = 60.0,
-    cycles: Annotated[int, Option(min=1, max=20, help="Largest number of polishing passes")] = 4,
+    seed: Annotated[int, Option(metavar="N", help="Seed of the simulated cell's hidden parameters")] = 1,
+    speed: Annotated[float, Option(min=1.0, max=200.0, metavar="FACTOR", help="Process time per wall time")] = 60.0,
+    cycles: Annotated[int, Option(min=1, max=20, metavar="N", help="Largest number of polishing passes")] = 4,
     tolerance: Annotated[float, Option(min=0.01, metavar="NM", help="RMS to reach")] = 2.0,
     surface: Annotated[Path | None, Option(metavar="FILE", help="Start from a measured map (Zygo .dat)")] = None,
     correction: Correction = None,
@@ -350,7 +350,7 @@ def estimates(
 
 @app.command()
 def plugins(
-    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
+    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]", help="The cell's configuration")] = None,
     as_json: Json = False,
 ) -> None:
     """Show the plugins of a cell, or polishd's own without CELL.toml, and the functions of each."""
@@ -363,7 +363,7 @@ def plugins(
 def sim(
     *,
     context: typer.Context,
-    config: Annotated[Path, Argument(metavar="SIM.toml", show_default=False)],
+    config: Annotated[Path, Argument(metavar="SIM.toml", help="The simulator's configuration", show_default=False)],
 ) -> None:
     """Run a simulated cell in separate processes until Ctrl-C. Other options go to the simulator."""
     from polishd.commissioning.rehearsal.simulated_cell import run_simulator

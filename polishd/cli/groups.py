@@ -62,7 +62,7 @@ def queue_move(
     *,
     cell: Cell,
     job: JobId,
-    where: Annotated[Literal["before", "after", "first", "last"], Argument(show_default=False)],
+    where: Annotated[Literal["before", "after", "first", "last"], Argument(help="New position", show_default=False)],
     other: Annotated[str, Argument(metavar="[OTHER]", help="The job before or after it", show_default=False)] = "",
     as_json: Json = False,
 ) -> None:

@@ -48,7 +48,7 @@ app = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND
 @app.command(DEFAULT)
 @spread_options
 def figures(
-    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps", readable=False)],
     *,
     as_json: Json = False,
     asked: FigureOptions,
@@ -62,8 +62,8 @@ def figures(
 @app.command()
 @spread_options
 def compare(
-    before: Annotated[Path, Argument(metavar="BEFORE", readable=False)],
-    after: Annotated[Path, Argument(metavar="AFTER", readable=False)],
+    before: Annotated[Path, Argument(metavar="BEFORE", help="Map before", readable=False)],
+    after: Annotated[Path, Argument(metavar="AFTER", help="Map after", readable=False)],
     *,
     as_json: Json = False,
     asked: FigureOptions,
@@ -77,7 +77,7 @@ def compare(
 @app.command()
 @spread_options
 def report(
-    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps", readable=False)],
     *,
     as_json: Json = False,
     asked: ReportOptions,

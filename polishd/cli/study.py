@@ -31,7 +31,11 @@ app = typer.Typer(
 
 @app.command()
 @spread_options
-def run(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
+def run(
+    file: Annotated[Path, Argument(metavar="STUDY.toml", help="The study's configuration")],
+    asked: StudyOptions,
+    as_json: Json = False,
+) -> None:
     """Run a study, as `polishd study STUDY.toml`."""
     from polishd.studies.run import study_verb
 

@@ -16,9 +16,9 @@ import typer
 import typer.core
 from typer import Argument, Option
 
-Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration.")]
-Json = Annotated[bool, Option("--json", help="One JSON object on stdout, for programs.")]
-Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, too.")]
+Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration")]
+Json = Annotated[bool, Option("--json", help="Print one JSON object on stdout")]
+Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw a picture, too")]
 
 
 def spread_options(command: Callable[..., None]) -> Callable[..., None]:
