@@ -22,15 +22,15 @@ class MakeOptions:
         str | None,
         Option(
             metavar="SHAPE",
-            help="circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, hexagon:W (mm), polygon:FILE (CSV with x_mm, "
-            "y_mm), or mask:MAP (default: the cell's)",
+            help="Shape: circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, hexagon:W (mm), polygon:FILE (CSV with "
+            "x_mm, y_mm), or mask:MAP (default: the cell's)",
         ),
     ] = None
     optic: Annotated[
         str | None,
         Option(
             metavar="OPTIC",
-            help="flat, sphere:R, conic:R,K, or asphere:R,K,A4,A6,... with R in mm, positive for concave "
+            help="Surface: flat, sphere:R, conic:R,K, or asphere:R,K,A4,A6,... with R in mm, positive for concave "
             "(default: the cell's, or flat)",
         ),
     ] = None

@@ -34,7 +34,7 @@ NEXT: Mapping[str, str] = {
     "failed": f"the daemon has ended; correct the cause, then: {_AGAIN}",
     "stopped": f"the daemon has ended; to continue this job: {_AGAIN}",
     "in_tolerance": _OVER,
-    "as_programmed": f"the estimates are saved, polishd estimates CELL.toml shows them: {_OVER}",
+    "as_programmed": f"the estimates are saved, polishd estimates show CELL.toml shows them: {_OVER}",
     "cycles_used": f"the part is not in tolerance: {_OVER}",
     "diverged": f"the surface got worse: {_OVER}",
     "stalled": f"passes remove less than predicted: {_OVER}",

@@ -1,4 +1,4 @@
-"""``polishd report certificate | verify | key | schema``."""
+"""``polishd certificate make | verify | keygen | schema``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PDF, JSON = ".pdf", ".json"
 
 @dataclass(frozen=True, slots=True)
 class CertificateOptions:
-    """Options of ``polishd report certificate``."""
+    """Options of ``polishd certificate make``."""
 
     out: Annotated[Path, Option("--out", metavar="FILE.pdf", help="New PDF; the JSON goes beside it as FILE.json")]
     job: Annotated[str | None, Option("--job", metavar="ID", help="Job of CELL.toml (default: the last)")] = None
