@@ -434,6 +434,10 @@ def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
 def main() -> None:
     """Run the command line; print each known error as one message, and exit with its code."""
     escape_logs()
+    if os.environ.get("NO_COLOR"):
+        from typer import rich_utils  # this import is slow
+
+        rich_utils.COLOR_SYSTEM = None  # without bold and dim text, too
     try:
         _plugin_commands()
         app()

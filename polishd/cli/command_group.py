@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-import os
 import re
+import shutil
 from functools import partial
 from typing import Any
 
@@ -76,12 +76,9 @@ def _prepare(command: Any) -> None:
 
 def _format_help(command: Any, ctx: Any, _formatter: Any) -> None:
     """Print the help of a command. Flags and files have no type; in a narrow terminal the types go into the text."""
-    from rich.console import Console
     from typer import rich_utils
 
-    if os.environ.get("NO_COLOR"):
-        rich_utils.COLOR_SYSTEM = None  # neither bold nor dim
-    narrow = (rich_utils.MAX_WIDTH or Console().width) < NARROW
+    narrow = shutil.get_terminal_size().columns < NARROW
     shown = copy.copy(command)
     shown.params = [_shown(param, ctx, narrow=narrow) for param in command.get_params(ctx)]
     shown.add_help_option = False  # it is among the parameters

@@ -43,7 +43,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
 
 
 def test_version(polishd: Polishd) -> None:
-    assert polishd("version") == Said(0, f"{__version__}\n", "")
+    assert polishd("--version") == Said(0, f"{__version__}\n", "")
 
 
 @pytest.mark.one_of_each
