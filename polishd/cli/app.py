@@ -457,8 +457,8 @@ def main() -> None:
         name = error.filename or (_full_output() if full else None)
         if name is None:
             raise
-        advice = "; make room" if full else ""
-        say(f"polishd: {name}: {error.strerror}{advice}", err=True)
+        advice = "make room" if full else "check the path, its permissions and its disk"
+        say(f"polishd: {name}: {error.strerror}; {advice}", err=True)
         sys.exit(1)
 
 

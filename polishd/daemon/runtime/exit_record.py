@@ -30,6 +30,7 @@ NEXT: Mapping[str, str] = {
         "correct the cause, then run polishd resume CELL.toml, which begins with a new measurement; a changed file of "
         "the cell takes effect only after polishd stop CELL.toml and polishd run CELL.toml"
     ),
+    "unknown": f"check that this is the right cell, and inspect it, then: {_AGAIN}",
     "killed": f"inspect the cell, then: {_AGAIN}",
     "failed": f"the daemon has ended; correct the cause, then: {_AGAIN}",
     "stopped": f"the daemon has ended; to continue this job: {_AGAIN}",

@@ -221,7 +221,10 @@ def test_a_folder_that_cannot_be_written_is_one_line_at_once(
 def test_a_file_that_cannot_be_had_is_one_line(polishd: Polishd, monkeypatch: pytest.MonkeyPatch) -> None:
     for error, says in (
         (OSError(errno.ENOSPC, "No space left on device"), "a file: No space left on device; make room"),
-        (OSError(errno.EACCES, "Permission denied", "journal.sqlite"), "journal.sqlite: Permission denied"),
+        (
+            OSError(errno.EACCES, "Permission denied", "journal.sqlite"),
+            "journal.sqlite: Permission denied; check the path, its permissions and its disk",
+        ),
     ):
 
         def fails(*arguments: object, error: OSError = error, **named: object) -> None:
@@ -252,9 +255,9 @@ def test_no_daemon(polishd: Polishd, files: DemoFiles) -> None:
     ("state", "unsafe", "tool", "says"),
     [
         ("stopped", (), "yes", "which holds"),
-        ("failed", ("actuator: no answer",), "not confirmed", "when that is mended: polishd run"),
+        ("failed", ("actuator: no answer",), "not confirmed", "correct the cause, then: polishd run"),
         ("cycles_used", (), "yes", "begins a new one"),
-        ("failed", None, "not asked", "when that is mended: polishd run"),
+        ("failed", None, "not asked", "correct the cause, then: polishd run"),
         ("held", (), "yes", "inspect the cell, then: polishd run"),
         ("polishing", killed_safety(["actuator", "robot"]), "not confirmed", "inspect the cell, then: polishd run"),
     ],
