@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 
 from polishd.cli.app import PANEL_OF, PANELS, app
 from polishd.cli.command_group import RENAMED_COMMANDS
+from polishd.config.job_file import JobFile
+from polishd.daemon.queue.queue import NewJob, Queue
 
 NARROW, USUAL = 60, 100
 ESCAPE = "\x1b"
@@ -87,7 +89,7 @@ def test_an_old_command_is_refused_with_the_new_one(old: str) -> None:
 # Completion, as the shell starts it.
 
 
-def completed(line: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def completed(line: str) -> list[str]:
     """Completions of the last word of this command line in bash."""
     environment = {"_POLISHD_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
     result = CliRunner().invoke(app, [], prog_name="polishd", env=environment)
@@ -137,5 +139,21 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("polishd estimates ", ["show", "forget"]),
     ],
 )
-def test_completion(line: str, found: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert completed(line, monkeypatch) == found
+def test_completion(line: str, found: list[str]) -> None:
+    assert completed(line) == found
+
+
+def test_completion_of_the_jobs_of_a_queue(folder: Path) -> None:
+    with Queue.at_rest(folder / "state") as queue:
+        queue.add([NewJob(name, "P", JobFile(folder / "j.toml", ""), {}) for name in ("lens-1", "lens-2", "mirror")])
+    assert completed("polishd queue remove cell.toml l") == ["lens-1", "lens-2"]
+    assert completed("polishd queue move cell.toml mirror before ") == ["lens-1", "lens-2", "mirror"]
+    assert completed("polishd certificate make cell.toml --job m") == ["mirror"]
+
+
+def test_completion_of_the_parts_of_a_shop(folder: Path) -> None:
+    path = folder / "lens.toml"
+    path.write_text('[job]\nid = "lens-9"\n[part]\nid = "P-9"\n')
+    assert completed("polishd shop release shop.toml ") == []
+    assert CliRunner().invoke(app, ["shop", "add", str(folder / "shop.toml"), str(path)]).exit_code == 0
+    assert completed("polishd shop release shop.toml ") == ["lens-9"]
