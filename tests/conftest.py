@@ -37,6 +37,9 @@ hypothesis.settings.load_profile("polishd")
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+# pytest-xdist sets it for its workers: tables would be as narrow in them.
+os.environ.pop("COLUMNS", None)
+
 
 # Looking for garbage may take a second of a busy machine, in which a fake device that shares the process says nothing:
 # it is looked for between tests. What collecting makes stays to the end.

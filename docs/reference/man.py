@@ -17,12 +17,15 @@ PAGE = ROOT / "docs" / "polishd.1"
 EXAMPLES = (
     ("polishd demo", "Polish a simulated part, from the first map to the report."),
     ("polishd init new-cell", "Begin a new cell, and list what is left to do."),
+    ("polishd doctor CELL.toml", "Show what the computer and the cell still lack."),
     ("polishd check CELL.toml && polishd run CELL.toml", "Check a cell, and run its daemon."),
     ("polishd hold CELL.toml --reason 'a scratch'", "Leave contact, and wait for resume."),
     ("polishd status CELL.toml --json", "What the daemon does, for a program."),
 )
 """Commands, and what they are for."""
 INTERRUPTED = ("130", "Ctrl-C")
+_TYPE = re.compile(r" <(?:list\[)?(?:path|Path|str)\]?>(?:\.\.\.)?$")
+"""Type of an argument that its name shows already."""
 
 
 def page() -> str:
@@ -77,7 +80,7 @@ def _commands(group: Any, path: str) -> Iterator[str]:
             if record is not None:
                 yield from (
                     ".TP",
-                    f".B {_roff(_sentence(record[0]))}",
+                    f".B {_roff(_TYPE.sub('', _sentence(record[0])))}",
                     _roff(_sentence(record[1]) or "As its name says."),
                 )
 

@@ -6,27 +6,62 @@ import errno
 import os
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import typer
 from typer import Argument, Option
 
 from polishd import __version__
 from polishd.cli.calibrate import app as calibrations
+from polishd.cli.command_group import CommandGroup
 from polishd.cli.device import app as devices
-from polishd.cli.groups import Reason, jobs, opcua, recordings, reports, services
+from polishd.cli.groups import Reason, certificates, estimates, jobs, opcua, recordings, services
 from polishd.cli.map import app as maps
 from polishd.cli.program import app as programs
 from polishd.cli.shop import app as shops
 from polishd.cli.study import app as studies
 from polishd.model.errors import ComputeError, PolishdError
 from polishd.rendering.terminal import escape_logs, say
-from polishd.util.command_line import Cell, CommandGroup, Json, Picture
+from polishd.util.command_line import Cell, Json, Picture
+
+# The panels of the help, with their commands in order.
+
+PANELS: Mapping[str, Sequence[str]] = {
+    "Start": ("demo", "init", "doctor", "check", "probe", "rehearse"),
+    "Run a cell": ("run", "queue", "hold", "resume", "approve", "stop", "estop"),
+    "Look": ("status", "top", "events", "history", "estimates", "recording"),
+    "Maps and programs": ("map", "program", "plan", "certificate"),
+    "Calibrate": ("calibrate", "tif", "compliance", "device"),
+    "Studies": ("study",),
+    "Services": ("service", "web", "notify", "opcua", "shop"),
+    "Develop": ("sim", "hil", "plugins"),
+}
+PANEL_OF = {name: panel for panel, names in PANELS.items() for name in names}
+
+
+class RootGroup(CommandGroup):
+    """All commands in panels; commands of plugins in the last one."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """See TyperGroup."""
+        order = list(PANEL_OF)
+        return sorted(super().list_commands(ctx), key=lambda name: order.index(name) if name in order else len(order))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """See TyperGroup."""
+        found = super().get_command(ctx, cmd_name)
+        if found is not None:
+            found.rich_help_panel = PANEL_OF.get(cmd_name, "Plugins")
+        return found
+
 
 # Commands that need no daemon.
 
-offline_app = typer.Typer(help="Maps, programs, calibration, physics and studies.", no_args_is_help=True)
+offline_app = typer.Typer(
+    cls=CommandGroup, help="Maps, programs, calibration, physics and studies.", no_args_is_help=True
+)
 offline_app.add_typer(calibrations, name="calibrate", no_args_is_help=True)
 offline_app.add_typer(programs, name="program", no_args_is_help=True)
 offline_app.add_typer(maps, name="map", no_args_is_help=True)
@@ -84,7 +119,7 @@ def compliance(
 
 
 app = typer.Typer(
-    cls=CommandGroup,
+    cls=RootGroup,
     name="polishd",
     help="Controller daemon of an unattended robotic polishing cell.",
     no_args_is_help=True,
@@ -128,9 +163,9 @@ def root(
 @app.command()
 def demo(
     *,
-    seed: Annotated[int, Option(help="Seed of the simulated cell's hidden parameters")] = 1,
-    speed: Annotated[float, Option(min=1.0, max=200.0, help="Process time per wall time")] = 60.0,
-    cycles: Annotated[int, Option(min=1, max=20, help="Largest number of polishing passes")] = 4,
+    seed: Annotated[int, Option(metavar="N", help="Seed of the simulated cell's hidden parameters")] = 1,
+    speed: Annotated[float, Option(min=1.0, max=200.0, metavar="FACTOR", help="Process time per wall time")] = 60.0,
+    cycles: Annotated[int, Option(min=1, max=20, metavar="N", help="Largest number of polishing passes")] = 4,
     tolerance: Annotated[float, Option(min=0.01, metavar="NM", help="RMS to reach")] = 2.0,
     surface: Annotated[Path | None, Option(metavar="FILE", help="Start from a measured map (Zygo .dat)")] = None,
     correction: Correction = None,
@@ -180,6 +215,17 @@ def plan(
     from polishd.cli.cell import plan_verb
 
     plan_verb(cell, surface, program, out, correction, as_json=as_json)
+
+
+@app.command()
+def doctor(
+    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]", help="The cell's configuration")] = None,
+    as_json: Json = False,
+) -> None:
+    """Check software, permissions, clock and disk of this computer, and a cell's addresses. No device is opened."""
+    from polishd.commissioning.doctor import doctor_verb
+
+    doctor_verb(cell, as_json=as_json)
 
 
 @app.command()
@@ -333,24 +379,8 @@ def history(
 
 
 @app.command()
-def estimates(
-    cell: Cell,
-    forget: Annotated[bool, Option("--forget", help="Start the next job without earlier estimates")] = False,
-    reason: Reason = "",
-    as_json: Json = False,
-) -> None:
-    """Show the estimates of removal rate and machine with which the next job starts."""
-    from polishd.cli.history import estimates_verb, forget_verb
-
-    if forget:
-        forget_verb(cell, reason, as_json=as_json)
-    else:
-        estimates_verb(cell, as_json=as_json)
-
-
-@app.command()
 def plugins(
-    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]")] = None,
+    cell: Annotated[Path | None, Argument(metavar="[CELL.toml]", help="The cell's configuration")] = None,
     as_json: Json = False,
 ) -> None:
     """Show the plugins of a cell, or polishd's own without CELL.toml, and the functions of each."""
@@ -363,7 +393,7 @@ def plugins(
 def sim(
     *,
     context: typer.Context,
-    config: Annotated[Path, Argument(metavar="SIM.toml", show_default=False)],
+    config: Annotated[Path, Argument(metavar="SIM.toml", help="The simulator's configuration", show_default=False)],
 ) -> None:
     """Run a simulated cell in separate processes until Ctrl-C. Other options go to the simulator."""
     from polishd.commissioning.rehearsal.simulated_cell import run_simulator
@@ -385,17 +415,12 @@ def rehearse(
     raise typer.Exit(rehearsal_verb(cell, out, context.args, write_only=write_only))
 
 
-@app.command()
-def version() -> None:
-    """Print the version."""
-    say(__version__)
-
-
 app.command()(opcua)
 app.add_typer(jobs, name="queue", no_args_is_help=True)
+app.add_typer(estimates, name="estimates", no_args_is_help=True)
 app.add_typer(services, name="service", no_args_is_help=True)
 app.add_typer(recordings, name="recording", no_args_is_help=True)
-app.add_typer(reports, name="report", no_args_is_help=True)
+app.add_typer(certificates, name="certificate", no_args_is_help=True)
 app.add_typer(shops, name="shop", no_args_is_help=True)
 app.add_typer(offline_app)
 
@@ -409,6 +434,10 @@ def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
 def main() -> None:
     """Run the command line; print each known error as one message, and exit with its code."""
     escape_logs()
+    if os.environ.get("NO_COLOR"):
+        from typer import rich_utils  # this import is slow
+
+        rich_utils.COLOR_SYSTEM = None  # without bold and dim text, too
     try:
         _plugin_commands()
         app()
@@ -428,8 +457,8 @@ def main() -> None:
         name = error.filename or (_full_output() if full else None)
         if name is None:
             raise
-        advice = "; make room" if full else ""
-        say(f"polishd: {name}: {error.strerror}{advice}", err=True)
+        advice = "make room" if full else "check the path, its permissions and its disk"
+        say(f"polishd: {name}: {error.strerror}; {advice}", err=True)
         sys.exit(1)
 
 

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.util.command_line import CommandGroup, Json
+from polishd.cli.command_group import CommandGroup
+from polishd.util.command_line import Json
 
 Fragment = Annotated[Path | None, Option("--out", metavar="FRAGMENT.toml", help="Write a fragment for the cell's file")]
 OfCell = Annotated[Path | None, Option("--cell", metavar="CELL.toml", help="The cell (default: shipped values)")]

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.util.command_line import CommandGroup, Json
+from polishd.cli.command_group import CommandGroup
+from polishd.util.command_line import Json
 
 app = typer.Typer(
     cls=CommandGroup, help="Profiles of drives and sensors: the protocol of a Modbus or line device as data."
@@ -63,7 +64,7 @@ def new(
 @app.command()
 def scan(
     profile: Profile,
-    address: Annotated[str, Argument(metavar="ADDRESS", help="serial:PATH or tcp://host:port")],
+    address: Annotated[str, Argument(metavar="ADDRESS", help="Address: serial:PATH or tcp://host:port")],
     units: Annotated[int, Option(min=1, max=247, metavar="N", help="Number of Modbus units to try, from 1")] = 16,
     silence_s: Annotated[float, Option(min=0.05, max=5.0, metavar="S", help="Time limit of each answer")] = 0.3,
     as_json: Json = False,

@@ -1,4 +1,4 @@
-"""Command groups of a cell: queue, service, recordings of its links, and certificates."""
+"""Command groups of a cell: queue, estimates, service, recordings of its links, and certificates."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ import typer
 from typer import Argument, Option
 
 from polishd.cli.calibrate import app as calibrations
+from polishd.cli.command_group import CommandGroup
 from polishd.commissioning.calibration.options import InstrumentOptions
 from polishd.reports.certificate.options import CertificateOptions
-from polishd.util.command_line import Cell, CommandGroup, Json, spread_options
+from polishd.util.command_line import Cell, Json, spread_options
 
-jobs = typer.Typer(help="The queue of a cell: jobs, one after another.")
-services = typer.Typer(help="Run a cell as a systemd service.")
-recordings = typer.Typer(help="Recordings of a cell's links (run --record).")
-reports = typer.Typer(cls=CommandGroup, help="Certificates of parts: make, sign, verify.")
+jobs = typer.Typer(cls=CommandGroup, help="The queue of a cell: jobs, one after another.")
+estimates = typer.Typer(cls=CommandGroup, help="Estimates of removal rate and machine with which the next job starts.")
+services = typer.Typer(cls=CommandGroup, help="Run a cell as a systemd service.")
+recordings = typer.Typer(cls=CommandGroup, help="Recordings of a cell's links (run --record).")
+certificates = typer.Typer(cls=CommandGroup, help="Certificates of parts: make, sign, verify.")
 
 Reason = Annotated[str, Option("--reason", metavar="TEXT", help="Reason, for the journal and for status")]
-JobId = Annotated[str, Argument(metavar="ID", help="job.id of the job", show_default=False)]
+JobId = Annotated[str, Argument(metavar="ID", help="Job (its job.id)", show_default=False)]
 Served = Annotated[list[Path], Argument(metavar="CELL.toml...", help="Configuration of each cell", show_default=False)]
 Queued = Annotated[bool, Option("--queue", help="Run the cells' queues, as polishd run --queue")]
 Beside = Annotated[
@@ -62,7 +64,7 @@ def queue_move(
     *,
     cell: Cell,
     job: JobId,
-    where: Annotated[Literal["before", "after", "first", "last"], Argument(show_default=False)],
+    where: Annotated[Literal["before", "after", "first", "last"], Argument(help="New position", show_default=False)],
     other: Annotated[str, Argument(metavar="[OTHER]", help="The job before or after it", show_default=False)] = "",
     as_json: Json = False,
 ) -> None:
@@ -78,6 +80,22 @@ def queue_remove(*, cell: Cell, job: JobId, reason: Reason = "", as_json: Json =
     from polishd.cli.queue import remove_verb
 
     remove_verb(cell, job, reason, as_json=as_json)
+
+
+@estimates.command("show")
+def estimates_show(cell: Cell, as_json: Json = False) -> None:
+    """Show the estimates of removal rate and machine with which the next job starts. Needs no daemon."""
+    from polishd.cli.history import estimates_verb
+
+    estimates_verb(cell, as_json=as_json)
+
+
+@estimates.command("forget")
+def estimates_forget(cell: Cell, reason: Reason = "", as_json: Json = False) -> None:
+    """Start the next job without earlier estimates; the journal keeps them."""
+    from polishd.cli.history import forget_verb
+
+    forget_verb(cell, reason, as_json=as_json)
 
 
 @calibrations.command("instrument")
@@ -117,7 +135,7 @@ def service_show(files: Served, *, system: Scope, queue: Queued = False, of: Bes
 
 
 @recordings.command("show")
-def record_show(
+def recording_show(
     file: Annotated[Path, Argument(metavar="FILE", help="A recording", show_default=False)], as_json: Json = False
 ) -> None:
     """Show each link: messages and bytes in both directions, first and last time, longest silence; missing data."""
@@ -126,9 +144,9 @@ def record_show(
     show_verb(file, as_json=as_json)
 
 
-@reports.command("certificate")
+@certificates.command("make")
 @spread_options
-def report_certificate(
+def certificate_make(
     run: Annotated[
         Path, Argument(metavar="RUN|CELL.toml", help="A run folder, or a cell for its last job", show_default=False)
     ],
@@ -142,8 +160,8 @@ def report_certificate(
     certificate_verb(run, options, as_json=as_json)
 
 
-@reports.command("verify")
-def report_verify(
+@certificates.command("verify")
+def certificate_verify(
     file: Annotated[Path, Argument(metavar="FILE.pdf|FILE.json", help="A certificate", show_default=False)],
     *,
     key: Annotated[Path | None, Option("--key", metavar="PUBLIC", help="The shop's public key")] = None,
@@ -155,8 +173,8 @@ def report_verify(
     verify_verb(file, key, as_json=as_json)
 
 
-@reports.command("keygen")
-def report_key(
+@certificates.command("keygen")
+def certificate_keygen(
     file: Annotated[
         Path, Argument(metavar="FILE", help="New private key; the public key is FILE.pub", show_default=False)
     ],
@@ -168,8 +186,8 @@ def report_key(
     key_verb(file, as_json=as_json)
 
 
-@reports.command("schema")
-def report_schema() -> None:
+@certificates.command("schema")
+def certificate_schema() -> None:
     """Print the JSON Schema of a certificate."""
     from polishd.reports.certificate.issue import schema_verb
 

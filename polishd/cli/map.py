@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 from typer import Argument, Option
-from typer.core import TyperGroup
 
+from polishd.cli.command_group import CommandGroup
 from polishd.maps.options import (
     AbsoluteOptions,
     AverageOptions,
@@ -25,13 +25,12 @@ from polishd.util.command_line import spread_options
 
 DEFAULT = "figures"
 """Command of ``polishd map FILE``."""
-HELP = (
-    "Surface maps: polishd map FILE... shows their figures (options: polishd map figures --help); other commands "
-    "compare, report, convert, average, subtract, stitch, separate errors and commission."
-)
+HELP = """Read, compare, convert, combine and report surface maps.
+
+polishd map FILE... shows the figures of each map; its options are those of polishd map figures."""
 
 
-class MapGroup(TyperGroup):
+class MapGroup(CommandGroup):
     """Group that accepts files instead of a command. Write a file that is named like a command as ``./compare``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -48,7 +47,7 @@ app = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND
 @app.command(DEFAULT)
 @spread_options
 def figures(
-    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps", readable=False)],
     *,
     as_json: Json = False,
     asked: FigureOptions,
@@ -62,8 +61,8 @@ def figures(
 @app.command()
 @spread_options
 def compare(
-    before: Annotated[Path, Argument(metavar="BEFORE", readable=False)],
-    after: Annotated[Path, Argument(metavar="AFTER", readable=False)],
+    before: Annotated[Path, Argument(metavar="BEFORE", help="Map before", readable=False)],
+    after: Annotated[Path, Argument(metavar="AFTER", help="Map after", readable=False)],
     *,
     as_json: Json = False,
     asked: FigureOptions,
@@ -77,7 +76,7 @@ def compare(
 @app.command()
 @spread_options
 def report(
-    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps.", readable=False)],
+    files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps", readable=False)],
     *,
     as_json: Json = False,
     asked: ReportOptions,

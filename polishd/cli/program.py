@@ -8,10 +8,13 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
+from polishd.cli.command_group import CommandGroup
 from polishd.programs.options import Encoding, MakeOptions
 from polishd.util.command_line import Json, spread_options
 
-app = typer.Typer(help="RNC programs: inspect, rewrite the dwell, verify equal motion, make new ones.")
+app = typer.Typer(
+    cls=CommandGroup, help="RNC programs: inspect, rewrite the dwell, verify equal motion, make new ones."
+)
 
 # readable=False: a file that cannot be read has exit code 9, as a missing file; typer would use 2
 File = Annotated[Path, Argument(metavar="FILE", help="The RNC program", readable=False)]

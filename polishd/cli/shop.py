@@ -8,12 +8,13 @@ from typing import Annotated, Literal
 import typer
 from typer import Argument, Option
 
-from polishd.util.command_line import Cell, CommandGroup, Json
+from polishd.cli.command_group import CommandGroup
+from polishd.util.command_line import Cell, Json
 
 app = typer.Typer(cls=CommandGroup, help="A shop of several cells: parts, recipes, queue and history in one database.")
 
 Shop = Annotated[Path, Argument(metavar="SHOP.toml", help="The shop's configuration", show_default=False)]
-JobId = Annotated[str, Argument(metavar="JOB", help="job.id of the job", show_default=False)]
+JobId = Annotated[str, Argument(metavar="JOB", help="Job (its job.id)", show_default=False)]
 By = Annotated[str, Option("--by", metavar="NAME", help="Your name, for the shop's journal")]
 Why = Annotated[str, Option("--reason", metavar="TEXT", help="Reason, for the shop's journal")]
 Token = Annotated[str | None, Option(metavar="NAME", help="Add a token, and show it once")]

@@ -7,13 +7,13 @@ from typing import Annotated, Any
 
 import typer
 from typer import Argument
-from typer.core import TyperGroup
 
+from polishd.cli.command_group import CommandGroup
 from polishd.studies.options import StudyOptions
 from polishd.util.command_line import Json, spread_options
 
 
-class _FileOrVerb(TyperGroup):
+class _FileOrVerb(CommandGroup):
     """Group that runs a study's file if there is no command."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -31,7 +31,11 @@ app = typer.Typer(
 
 @app.command()
 @spread_options
-def run(file: Annotated[Path, Argument(metavar="STUDY.toml")], asked: StudyOptions, as_json: Json = False) -> None:
+def run(
+    file: Annotated[Path, Argument(metavar="STUDY.toml", help="The study's configuration")],
+    asked: StudyOptions,
+    as_json: Json = False,
+) -> None:
     """Run a study, as `polishd study STUDY.toml`."""
     from polishd.studies.run import study_verb
 

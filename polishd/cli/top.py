@@ -104,7 +104,7 @@ def _panel(one: CellView, now_s: float) -> Panel:
 def _table(rows: Sequence[Row], *, old: bool = False) -> Table:
     table = Table.grid(padding=(0, 2))
     table.add_column(style="bold", no_wrap=True)
-    table.add_column()
+    table.add_column(overflow="fold")
     for name, value in rows:
         table.add_row(name, value, style="dim" if old else "")
     return table

@@ -326,12 +326,18 @@ def _wrong_devices(config: CellConfig) -> Iterator[tuple[str, str]]:
             yield f"roles.{port}", f"is missing: there are {join_words(section.tables)}; name the one that the job uses"
     for port, name in config.roles.items():
         if port not in chosen:
-            yield f"roles.{port}", f"unknown key{did_you_mean(port, chosen)} Known here: {join_words(chosen)}"
+            yield (
+                f"roles.{port}",
+                f"unknown key{did_you_mean(port, chosen)} Known here: {join_words(chosen)}. Correct or remove it",
+            )
         elif port not in several:
             yield f"roles.{port}", f"there is one {port}, without a name; remove the line, or name it: [{port}.{name}]"
         elif name not in several[port].tables:
             known = several[port].tables
-            yield f"roles.{port}", f"there is no {name!r}{did_you_mean(name, known)} There are: {join_words(known)}"
+            yield (
+                f"roles.{port}",
+                f"there is no {name!r}{did_you_mean(name, known)} There are: {join_words(known)}. Name one of them",
+            )
 
 
 def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
@@ -347,7 +353,7 @@ def _wrong_signals(config: CellConfig) -> Iterator[tuple[str, str]]:
             todo = f"remove the line, or name it: [monitor.{signal.monitor}]"
             yield f"{key}.monitor", f"there is one monitor, without a name; {todo}"
         elif signal.monitor is not None and signal.monitor not in named:
-            known = f"{did_you_mean(signal.monitor, named)} There are: {join_words(named)}"
+            known = f"{did_you_mean(signal.monitor, named)} There are: {join_words(named)}. Name one of them"
             yield f"{key}.monitor", f"there is no {signal.monitor!r}{known}"
 
 
@@ -423,7 +429,7 @@ def _unknown_options(
             (*section, key),
             f"was renamed: write {new}"
             if (new := renamed_key(".".join(map(str, (*section, key)))))
-            else f"unknown key{did_you_mean(key, known)} Known here: {join_words(known)}",
+            else f"unknown key{did_you_mean(key, known)} Known here: {join_words(known)}. Correct or remove it",
         )
         for key in given
         if key not in known

@@ -332,8 +332,8 @@ class CertificateSection(ConfigSection):
     shop: str = ""
     """The shop's name on a certificate."""
     key: Text | None = None
-    """File of the shop's private key, made by `polishd report keygen`, which signs certificates. Left out: certificates
-    are not signed."""
+    """File of the shop's private key, made by `polishd certificate keygen`, which signs certificates. Left out:
+    certificates are not signed."""
 
 
 class LimitsSection(ConfigSection):

@@ -274,5 +274,7 @@ def load_controller_profile(name: str, base_dir: Path) -> ControllerProfile:
     if name.endswith(".toml"):
         return ControllerProfile.of(*load_toml(base_dir / Path(name).expanduser()))
     if name not in shipped():
-        raise ConfigError(f"profile {name!r} is not known; known are {', '.join(shipped())}, or the path of a .toml")
+        raise ConfigError(
+            f"profile {name!r} is not known; known are {', '.join(shipped())}, or the path of a .toml. Use one of them"
+        )
     return ControllerProfile.of(*load_toml(CONTROLLER_PROFILE_DIR / f"{name}.toml"))

@@ -211,8 +211,6 @@ def profile_of(name: str, base_dir: Path) -> DeviceProfile:
         return load_device_profile(base_dir / Path(name).expanduser())
     known = shipped()
     if name not in known:
-        hint = (
-            f"{did_you_mean(name, known)} polishd has {join_words(known)}; a profile of your own is a file, NAME.toml"
-        )
+        hint = f"{did_you_mean(name, known)} polishd has {join_words(known)}. Use one, or your own NAME.toml"
         raise ConfigError(f"profile {name!r} is not known{hint}")
     return load_device_profile(DEVICE_PROFILE_DIR / f"{name}.toml")

@@ -302,7 +302,7 @@ def study_of(raw: Mapping[str, Any], source: TomlSource) -> Study:
     if not isinstance(kind, str) or kind not in KINDS:
         near = did_you_mean(kind, KINDS) if isinstance(kind, str) else "."
         given = "is missing" if kind is None else f"{kind!r} is not allowed"
-        raise ConfigError(source.error(("kind",), f"{given}; must be one of {join_words(KINDS)}{near}"))
+        raise ConfigError(source.error(("kind",), f"{given}; set one of {join_words(KINDS)}{near}"))
     study = KINDS[kind].of(raw, source)
     unused = [source.error(tuple(key.split(".")), f"{why}; remove it") for key, why in study.without_use()]
     if unused:

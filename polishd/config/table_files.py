@@ -84,7 +84,7 @@ def _entries(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> 
         if name not in header:
             raise ConfigError(
                 f"{path}:{rows[0][0]}: the column {name!r} is missing{did_you_mean(name, header)} There are: "
-                f"{join_words(header)}"
+                f"{join_words(header)}. Add the column, or correct its name"
             )
     return [
         (f"{path}:{number}", dict(zip(header, next(csv.reader([line])), strict=False))) for number, line in rows[1:]

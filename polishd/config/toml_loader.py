@@ -224,7 +224,7 @@ def _message(found: Mapping[str, Any], key: Location, kind: Any, owner: type[Bas
         if new := renamed_key(_dotted(key)):
             return f"was renamed: write {new}"
         known = owner.model_fields if owner else ()
-        return f"{text}{did_you_mean(str(key[-1]), known)} Known here: {join_words(known)}"
+        return f"{text}{did_you_mean(str(key[-1]), known)} Known here: {join_words(known)}. Correct or remove it"
     if fault == "literal_error":
         near = re.findall(r"'([^']*)'", context["expected"]) if isinstance(given, str) else []
         return text + did_you_mean(str(given), near)

@@ -217,7 +217,7 @@ async def probe_cell(
     cell = build_cell(config, hooks)
     require_time_limits(config, cell)
     if unknown := [name for name in only if name not in cell.devices]:
-        raise ConfigError(f"--only {unknown[0]}: the cell has {', '.join(cell.devices)}")
+        raise ConfigError(f"--only {unknown[0]}: the cell has {', '.join(cell.devices)}. Name one of them")
     found, problems = {}, {}
     with locked(config.state_dir), recording_to(place(record, config), config) if record else nullcontext():
         try:

@@ -183,7 +183,7 @@ def polygon(corners_mm: Sequence[Sequence[float]] | FloatArray) -> Polygon:
 
 def _require_length(what: str, value_mm: float) -> float:
     if not 0 < value_mm < math.inf:
-        raise ComputeError(f"the outline's {what} is {value_mm:g} mm; it must be above 0")
+        raise ComputeError(f"the outline's {what} is {value_mm:g} mm; it must be above 0. Correct it")
     return value_mm
 
 

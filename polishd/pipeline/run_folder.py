@@ -95,5 +95,5 @@ def read_map(path: Path, readers: Collection[SurfaceReader]) -> SurfaceMap:
         if surface is not None:
             return surface
         tried.append(reader.name)
-    hint = looks_like(readers, head, path)
+    hint = looks_like(readers, head, path) or ". Export the map in one of these formats"
     raise MapError(f"{path}: no loaded reader knows this file (tried: {', '.join(tried) or 'none'}){hint}")

@@ -23,7 +23,7 @@ def require_number(what: str, value: float, unit: str, *, above: float, below: f
     if not above < value < below:
         lowest = f"above {above:g} and " if np.isfinite(above) else ""
         wanted = lowest + (f"below {below:g}" if np.isfinite(below) else "finite")
-        raise ComputeError(f"{what} is {f'{value:.6g} {unit}'.rstrip()}, it must be {wanted}")
+        raise ComputeError(f"{what} is {f'{value:.6g} {unit}'.rstrip()}, it must be {wanted}. Correct it")
 
 
 def require_vectors(what: str, value: FloatArray, unit: str) -> FloatArray:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.segment import Segment
 from rich.status import Status
 from rich.table import Table
@@ -39,14 +40,19 @@ class _Escaped(logging.Formatter):
         return printable(super().format(record))
 
 
+CUT = "…"
+"""What rich puts in the place of the rest of a word."""
 WIDE = 160
-"""Columns if stdout is not a terminal: a file or a pipe has all figures."""
+"""Columns if stdout is not a terminal and COLUMNS is not set: a file or a pipe has all figures."""
 
 
 class Terminal(Console):
     """Rich console for text from outside: no markup, and control characters are escaped."""
 
     def __init__(self, **how: Any) -> None:
+        # NO_COLOR removes bold and underline, too: a terminal that cannot show colors may print their codes.
+        if os.environ.get("NO_COLOR"):
+            how["color_system"] = None
         super().__init__(markup=False, emoji=False, **how)
 
     def render_str(self, text: str, **how: Any) -> Text:
@@ -78,13 +84,34 @@ def _unmarked(status: RenderableType) -> RenderableType:
 
 
 stderr = Terminal(stderr=True)
-stdout = Terminal(width=None if sys.stdout is not None and sys.stdout.isatty() else WIDE)
+stdout = Terminal(width=None if os.environ.get("COLUMNS") or (sys.stdout is not None and sys.stdout.isatty()) else WIDE)
+
+
+class FittingTable(Table):
+    """Table that becomes a list of names and values for each row where the terminal is too narrow for its columns."""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """See Table."""
+        drawn = list(super().__rich_console__(console, options))
+        cut = sum(one.text.count(CUT) for one in drawn if isinstance(one, Segment))
+        if cut <= sum(str(cell).count(CUT) for column in self.columns for cell in (column.header, *column.cells)):
+            yield from drawn
+            return
+        if self.title:
+            yield Text(str(self.title), style="italic")
+        names = [str(column.header) for column in self.columns]
+        for number, row in enumerate(zip(*(column.cells for column in self.columns), strict=True)):
+            listed = key_table("", [(name, cell) for name, cell in zip(names, row, strict=True) if str(cell)])
+            listed.title, listed.show_edge, listed.box = None, False, None
+            if number:
+                yield Text()
+            yield listed
 
 
 def cycle_table(summary: Mapping[str, Any]) -> Table:
     """Table with a row for each measurement, and the prediction and execution of the pass after it."""
     period = float(summary.get("tolerance_period_mm") or 0.0)
-    table = Table(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
+    table = FittingTable(title=f"{summary['job']}: {summary['outcome']}", title_justify="left")
     columns = {"pv_nm": "PV nm", "rms_nm": "RMS nm", "lsf_rms_nm": "LSF nm"}
     columns |= {"band_rms_nm": f"> {period:g} mm nm"} if period else {}
     columns |= {"predicted_rms_nm": "predicted nm"}
@@ -116,7 +143,7 @@ def tolerance_table(summary: Mapping[str, Any]) -> Table:
     """Table with a row for each line of the tolerance, the worst of the last measurement first."""
     judged = [line_results(cycle) for cycle in summary["cycles"]]
     by_line = [{one.what: one for one in measured} for measured in judged]
-    table = Table(title=f"{summary['job']}: tolerance", title_justify="left")
+    table = FittingTable(title=f"{summary['job']}: tolerance", title_justify="left")
     for name in ("line", "limit", *map(str, range(len(judged)))):
         table.add_column(name, justify="left" if name == "line" else "right")
     table.add_column("last one holds")
@@ -138,8 +165,8 @@ def _holding(line: LineResult) -> str:
 def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
     """Table of names and values."""
     table = Table(title=title, title_justify="left", show_header=False)
-    table.add_column(style="bold")
-    table.add_column()
+    table.add_column(style="bold", overflow="fold")
+    table.add_column(overflow="fold")
     for name, value in rows:
         table.add_row(name, str(value))
     return table
@@ -147,7 +174,7 @@ def key_table(title: str, rows: Iterable[tuple[str, object]]) -> Table:
 
 def record_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
     """Table with a header."""
-    table = Table(title=title, title_justify="left")
+    table = FittingTable(title=title, title_justify="left")
     for column in columns:
         table.add_column(column)
     for row in rows:

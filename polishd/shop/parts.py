@@ -133,7 +133,7 @@ def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool
         sql.word(by, "for all cells", job, "", why)
         return f"{job} waits, and any cell may have it"
     if part["state"] in {"waiting", "done", "removed"}:
-        raise ConfigError(f"{job!r} is {part['state']}: no cell has it; polishd shop list shows all")
+        raise ConfigError(f"{job!r} is {part['state']}: no cell has it; run polishd shop list SHOP.toml to see all")
     found = sql.row("SELECT request, cell, state FROM claim WHERE part = ? AND ended IS NULL", part["id"])
     if found is None:
         sql.run("UPDATE part SET state = 'waiting', verdict = '', reason = '', ended = NULL WHERE id = ?", part["id"])
@@ -227,7 +227,7 @@ def _open(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any] |
 def _part(sql: DatabaseTransaction, job: str) -> dict[str, Any]:
     found = sql.row("SELECT id, state FROM part WHERE job = ?", job)
     if found is None:
-        raise ConfigError(f"there is no part {job!r} in this shop; polishd shop list shows all")
+        raise ConfigError(f"there is no part {job!r} in this shop; run polishd shop list SHOP.toml to see all")
     return found
 
 

@@ -65,7 +65,7 @@ def require_simulated(config: CellConfig, names: Sequence[str]) -> None:
     own = load_own()
     for name in names:
         if name not in config.devices:
-            raise ConfigError(f"--simulate {name}: the cell has {', '.join(config.devices)}")
+            raise ConfigError(f"--simulate {name}: the cell has {', '.join(config.devices)}. Name some of them")
         if _substitute(own, port_of(name)) is None:
             simulated = join_words(port for port in PORTS if _substitute(own, port))
             raise ConfigError(f"--simulate {name}: only {simulated} can be simulated")
@@ -333,9 +333,9 @@ def _one_cycle(asked: HilRequest, config: CellConfig, scratch: Path) -> dict[str
 
 def _require(asked: HilRequest) -> None:
     if asked.level >= Level.CONTACT and asked.max_force_n is None:
-        raise ConfigError("--level contact and cycle need --max-force NEWTONS")
+        raise ConfigError("--level contact and cycle need --max-force NEWTONS. Add it with the largest allowed force")
     if asked.max_force_n is not None and not 0.0 < asked.max_force_n < 1000.0:
-        raise ConfigError(f"--max-force {asked.max_force_n:g} N: must be greater than 0")
+        raise ConfigError(f"--max-force {asked.max_force_n:g} N: must be greater than 0. Set it in N")
 
 
 def _acts(device: str) -> bool:
@@ -347,9 +347,9 @@ def _repeated(motion: Path) -> Any:
     try:
         lines = [line.strip() for line in motion.read_bytes().splitlines() if line.strip()]
     except OSError as error:
-        raise ConfigError(f"--motion {motion}: {error.strerror}") from error
+        raise ConfigError(f"--motion {motion}: cannot be read: {error.strerror}. Name the program's file") from error
     if not lines:
-        raise ConfigError(f"--motion {motion}: the program has no blocks")
+        raise ConfigError(f"--motion {motion}: the program has no blocks. Name a program that moves in the air")
     return lambda number: lines[number % len(lines)]
 
 

@@ -5,20 +5,17 @@ from __future__ import annotations
 import inspect
 import os
 import pwd
-import re
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-import typer
-import typer.core
 from typer import Argument, Option
 
-Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration.")]
-Json = Annotated[bool, Option("--json", help="One JSON object on stdout, for programs.")]
-Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw it, too.")]
+Cell = Annotated[Path, Argument(metavar="CELL.toml", help="The cell's configuration")]
+Json = Annotated[bool, Option("--json", help="Print one JSON object on stdout")]
+Picture = Annotated[Path | None, Option("--out", metavar="PNG", help="Draw a picture, too")]
 
 
 def spread_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -59,44 +56,3 @@ def account_name(number: int) -> str:
 def terminal_user() -> str:
     """The present account, and that it spoke at a terminal."""
     return f"{account_name(os.getuid())} (command line)"
-
-
-# The group of all commands: help without markup, and the new names of commands that were renamed.
-
-_MARKUP = re.compile(r"(?<!\\)\[(?=[a-z#/@])")
-"""What rich would take for the beginning of a tag."""
-RENAMED_COMMANDS = {
-    "job": "queue",
-    "beliefs": "estimates",
-    "record": "recording",
-    "calibrate cell": "calibrate first-touch",
-    "device find": "device scan",
-    "shop lessons": "shop estimates",
-    "shop link": "shop connect",
-    "report key": "report keygen",
-}
-"""Commands of before release 1.0."""
-
-
-class CommandGroup(typer.core.TyperGroup):
-    """A group of commands. It takes no markup from a help text, so that ``polishd[testing]`` is shown whole."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """See TyperGroup. UsageError with the new name for a command that was renamed."""
-        found = super().get_command(ctx, cmd_name)
-        name = " ".join([*ctx.command_path.split()[1:], cmd_name])
-        if found is None and name in RENAMED_COMMANDS:
-            ctx.fail(f"'polishd {name}' was renamed: use 'polishd {RENAMED_COMMANDS[name]}'.")
-        if found is not None:
-            _escape_help(found)
-        return found
-
-
-def _escape_help(command: Any) -> None:
-    """Escape markup in the help of a command, of its options, and of the commands below it; once each."""
-    for one in (command, *command.params):
-        text = getattr(one, "help", None)
-        if isinstance(text, str):
-            one.help = _MARKUP.sub(r"\\[", text)
-    for below in getattr(command, "commands", {}).values():
-        _escape_help(below)

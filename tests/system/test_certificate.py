@@ -24,9 +24,9 @@ def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def certified(run: Path, out: Path) -> dict[str, Any]:
     """Its twin, once PDF and twin are found to be as they were made."""
-    made = polishd("report", "certificate", run, "--out", out)
+    made = polishd("certificate", "make", run, "--out", out)
     assert made.returncode == 0, made.stderr
-    verified = polishd("report", "verify", out)
+    verified = polishd("certificate", "verify", out)
     assert verified.returncode == 0, verified.stdout + verified.stderr
     twin: dict[str, Any] = json.loads(out.with_suffix(".json").read_text())
     return twin

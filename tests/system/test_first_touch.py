@@ -64,7 +64,7 @@ def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     assert touch["outcome"] == "as_programmed"
     assert len(touch["cycles"]) == 2, "one pass, between two maps"
     assert touch["cycles"][1]["rms_nm"] > touch["cycles"][0]["rms_nm"], "a touch corrects nothing"
-    (belief,) = json.loads(polishd("estimates", "cell.toml", "--json", cwd=tmp_path))["beliefs"]
+    (belief,) = json.loads(polishd("estimates", "show", "cell.toml", "--json", cwd=tmp_path))["beliefs"]
     assert belief["job"] == f"first-touch-{part}"
 
     files.cell.write_text(plain)

@@ -108,10 +108,10 @@ def require_second_part_began_with_what_the_first_taught(files: DemoFiles) -> No
         [row for row in journal(files, f"{sql} job, cycle") if row[0] == number] for number in (1, 2)
     )
     assert second[1] == taught != 1.0
-    (lesson,) = json.loads(polishd("estimates", files.cell, "--json").stdout)["beliefs"]
+    (lesson,) = json.loads(polishd("estimates", "show", files.cell, "--json").stdout)["beliefs"]
     assert lesson["job"] == "two"
-    assert polishd("estimates", files.cell, "--forget", "--reason", "another pad").returncode == 0
-    assert json.loads(polishd("estimates", files.cell, "--json").stdout)["beliefs"] == []
+    assert polishd("estimates", "forget", files.cell, "--reason", "another pad").returncode == 0
+    assert json.loads(polishd("estimates", "show", files.cell, "--json").stdout)["beliefs"] == []
 
 
 @pytest.mark.full

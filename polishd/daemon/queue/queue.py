@@ -361,4 +361,7 @@ def _named(entries: Sequence[QueueEntry], name: str) -> QueueEntry:
         if entry.name == name:
             return entry
     names = [entry.name for entry in entries]
-    raise ConfigError(f"no job {name!r} waits in the queue{did_you_mean(name, names)} Waiting: {join_words(names)}")
+    raise ConfigError(
+        f"no job {name!r} waits in the queue{did_you_mean(name, names)} Waiting: {join_words(names)}. "
+        "Run polishd queue list CELL.toml"
+    )

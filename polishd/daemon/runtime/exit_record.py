@@ -30,11 +30,12 @@ NEXT: Mapping[str, str] = {
         "correct the cause, then run polishd resume CELL.toml, which begins with a new measurement; a changed file of "
         "the cell takes effect only after polishd stop CELL.toml and polishd run CELL.toml"
     ),
+    "unknown": f"check that this is the right cell, and inspect it, then: {_AGAIN}",
     "killed": f"inspect the cell, then: {_AGAIN}",
     "failed": f"the daemon has ended; correct the cause, then: {_AGAIN}",
     "stopped": f"the daemon has ended; to continue this job: {_AGAIN}",
     "in_tolerance": _OVER,
-    "as_programmed": f"the estimates are saved, polishd estimates CELL.toml shows them: {_OVER}",
+    "as_programmed": f"the estimates are saved, polishd estimates show CELL.toml shows them: {_OVER}",
     "cycles_used": f"the part is not in tolerance: {_OVER}",
     "diverged": f"the surface got worse: {_OVER}",
     "stalled": f"passes remove less than predicted: {_OVER}",

@@ -120,7 +120,9 @@ def read_raw(profile: DeviceProfile, name: str, text: str) -> Values:
                 found["(state)"] = codec.state_of(profile, found) if profile.states else "none"
     except KeyError:
         known = ", ".join(profile.registers or profile.asks)
-        raise ConfigError(f"raw example {name!r}: the profile has no such {_thing(profile)}; it has {known}") from None
+        raise ConfigError(
+            f"raw example {name!r}: the profile has no such {_thing(profile)}; it has {known}. Name one of them"
+        ) from None
     except (PolishdError, ValueError, OverflowError) as error:
         raise ConfigError(f"raw example {name}={text!r}: {error}") from error
     return found

@@ -138,7 +138,7 @@ def _parse(url: SplitResult, base_dir: Path, usual: SerialLine) -> Address:
             if slcan.bitrate not in CAN_BITRATES:
                 raise ValueError(f"bitrate {slcan.bitrate} is none of {', '.join(map(str, CAN_BITRATES))}")
             return slcan
-    raise ValueError("it starts with none of tcp:, serial:, slcan:, socketcand:")
+    raise ValueError("it starts with none of tcp:, serial:, slcan:, socketcand:. Write it as one of them")
 
 
 def _serial(line: SerialLine, options: dict[str, str]) -> SerialLine:

@@ -35,8 +35,8 @@ def dialect(name_or_path: str | Path) -> AnyDialect:
     if not text.endswith(".toml"):
         if text not in DIALECTS:
             near = difflib.get_close_matches(text, DIALECTS, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(DIALECTS)}, or the path of a .toml"
-            raise ConfigError(f"dialect {text!r} is not known: {hint}")
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(DIALECTS)}."
+            raise ConfigError(f"dialect {text!r} is not known: {hint} Use a known one, or the path of a .toml")
         return dialect(FOLDER / f"{text}.toml")
     path = Path(name_or_path)
     content = _content(path, ())

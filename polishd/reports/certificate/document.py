@@ -138,10 +138,10 @@ def _front(content: Content, signed_by: str) -> Chapter:
     ]
     signed = (
         f"The JSON file of the same name has the SHA-256 of this PDF and is signed with the key {signed_by}. "
-        "polishd report verify finds a change of either file."
+        "polishd certificate verify finds a change of either file."
         if signed_by
-        else "Not signed. The JSON file of the same name has the SHA-256 of this PDF. polishd report verify finds an "
-        "accidental change of either file, but cannot prove the author."
+        else "Not signed. The JSON file of the same name has the SHA-256 of this PDF. polishd certificate verify finds "
+        "an accidental change of either file, but cannot prove the author."
     )
     once = ["The part was measured once: before and after are the same map."] if len(content.measurements) == 1 else []
     parts = [

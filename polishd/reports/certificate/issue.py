@@ -1,4 +1,4 @@
-"""``polishd report certificate | verify | key | schema``."""
+"""``polishd certificate make | verify | keygen | schema``."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def public_key(path: Path) -> Ed25519PublicKey:
 
 def _refuse_key(path: Path, kind: str) -> NoReturn:
     other = f" The name of a public key ends in {PUBLIC}." if kind == "public" else ""
-    raise ConfigError(f"{path}: not a {kind} Ed25519 key in PEM. Make a pair with polishd report keygen.{other}")
+    raise ConfigError(f"{path}: not a {kind} Ed25519 key in PEM. Make a pair with polishd certificate keygen.{other}")
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -111,7 +111,11 @@ def find_run(path: Path, job: str | None) -> CertificateRun:
         sql = "SELECT name, run_dir, ended FROM job ORDER BY id DESC"
         jobs = [row for row in journal.execute(sql) if job is None or row[0] == job]
     if not jobs:
-        problem = "no job has begun." if job is None else f"there is no job {job!r}. Run polishd history for a list."
+        problem = (
+            "no job has begun. Run polishd run CELL.toml first."
+            if job is None
+            else f"there is no job {job!r}. Run polishd history for a list."
+        )
         raise ConfigError(f"{path}: {problem}")
     over = [row for row in jobs if row[2] is not None]
     name, run_dir, _ = (over or jobs)[0]

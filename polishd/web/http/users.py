@@ -81,7 +81,7 @@ class UserFile:
     def add(self, name: str, role: Role) -> str:
         """Make a new token for a name, in place of an older one. ConfigError for an invalid name."""
         if not re.fullmatch(NAME, name, re.ASCII):
-            raise ConfigError(f"{name!r} is no name of a user: up to 64 letters, digits, '.', '_' and '-'")
+            raise ConfigError(f"{name!r} is no name of a user. Use up to 64 letters, digits, '.', '_' and '-'")
         token = f"{name}.{secrets.token_urlsafe(32)}"
         self._write({**self._read(), name: {"role": role.value, "token_sha256": _digest(token)}})
         return token
@@ -90,7 +90,8 @@ class UserFile:
         """Remove a user. ConfigError where there is none."""
         known = dict(self._read())
         if known.pop(name, None) is None:
-            raise ConfigError(f"{self.path}: there is no user {name!r}")
+            todo = f"Name one of {', '.join(known)}" if known else "There is nothing to remove: check the file"
+            raise ConfigError(f"{self.path}: there is no user {name!r}. {todo}")
         self._write(known)
 
     def _read(self) -> Mapping[str, Mapping[str, str]]:

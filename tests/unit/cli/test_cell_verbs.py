@@ -43,7 +43,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
 
 
 def test_version(polishd: Polishd) -> None:
-    assert polishd("version") == Said(0, f"{__version__}\n", "")
+    assert polishd("--version") == Said(0, f"{__version__}\n", "")
 
 
 @pytest.mark.one_of_each
@@ -221,7 +221,10 @@ def test_a_folder_that_cannot_be_written_is_one_line_at_once(
 def test_a_file_that_cannot_be_had_is_one_line(polishd: Polishd, monkeypatch: pytest.MonkeyPatch) -> None:
     for error, says in (
         (OSError(errno.ENOSPC, "No space left on device"), "a file: No space left on device; make room"),
-        (OSError(errno.EACCES, "Permission denied", "journal.sqlite"), "journal.sqlite: Permission denied"),
+        (
+            OSError(errno.EACCES, "Permission denied", "journal.sqlite"),
+            "journal.sqlite: Permission denied; check the path, its permissions and its disk",
+        ),
     ):
 
         def fails(*arguments: object, error: OSError = error, **named: object) -> None:

@@ -44,7 +44,7 @@ def taught(state_dir: Path, name: str, terms: dict[str, str], beliefs: Estimates
 
 
 def test_the_last_lesson_of_each_tool_and_all_that_identification_believes(polishd: Polishd, cell: Path) -> None:
-    said = polishd("estimates", cell)
+    said = polishd("estimates", "show", cell)
     assert said.code == 0
     text = " ".join(said.out.split())
     assert "- mirror-3 1 20" in text
@@ -56,7 +56,7 @@ def test_the_last_lesson_of_each_tool_and_all_that_identification_believes(polis
 
 
 def test_for_programs(polishd: Polishd, cell: Path) -> None:
-    answer = json.loads(polishd("estimates", cell, "--json").out)
+    answer = json.loads(polishd("estimates", "show", cell, "--json").out)
     assert answer["remember"] is True
     assert [(one["job"], one["tool"]) for one in answer["beliefs"]] == [("mirror-3", ""), ("mirror-2", "bonnet 7")]
     assert answer["beliefs"][1]["believed"]["removal"]["applied"] == {"offset_x": 0.4}
@@ -64,25 +64,27 @@ def test_for_programs(polishd: Polishd, cell: Path) -> None:
 
 def test_a_tool_that_a_person_had_to_see_to_is_another_one(polishd: Polishd, cell: Path) -> None:
     taught(cell.parent / "state", "mirror-4", {}, Estimates(Estimate(0.5)), stops=True)
-    (one,) = json.loads(polishd("estimates", cell, "--json").out)["beliefs"]
+    (one,) = json.loads(polishd("estimates", "show", cell, "--json").out)["beliefs"]
     assert one["tool"] == "bonnet 7"
 
 
 def test_forgetting(polishd: Polishd, cell: Path) -> None:
-    said = polishd("estimates", cell, "--forget", "--reason", "another pad")
+    said = polishd("estimates", "forget", cell, "--reason", "another pad")
     assert "the next job starts without estimates" in " ".join(said.out.split())
-    assert json.loads(polishd("estimates", cell, "--json").out)["beliefs"] == []
-    assert "there are no estimates" in polishd("estimates", cell).out
+    assert json.loads(polishd("estimates", "show", cell, "--json").out)["beliefs"] == []
+    assert "there are no estimates" in polishd("estimates", "show", cell).out
 
 
 def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, cell: Path) -> None:
     with locked(cell.parent / "state"):
-        said = polishd("estimates", cell, "--forget")
+        said = polishd("estimates", "forget", cell)
         assert said.code == 3
         assert "another polishd runs this cell" in said.err
-        assert len(json.loads(polishd("estimates", cell, "--json").out)["beliefs"]) == 2, "reading disturbs no daemon"
+        assert len(json.loads(polishd("estimates", "show", cell, "--json").out)["beliefs"]) == 2, (
+            "reading disturbs no daemon"
+        )
 
 
 def test_a_cell_that_is_told_not_to_remember_says_so(polishd: Polishd, cell: Path) -> None:
     cell.write_text(cell.read_text().replace("# use_previous = true", "use_previous = false"))
-    assert "estimates.use_previous is false" in polishd("estimates", cell).out
+    assert "estimates.use_previous is false" in polishd("estimates", "show", cell).out

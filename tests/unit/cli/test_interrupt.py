@@ -83,7 +83,7 @@ def test_behind_nohup_it_is_not_heard(tmp_path: Path) -> None:
     """Who started it with SIGINT ignored meant that."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        ended = interrupted(tmp_path, "import 20", "version")
+        ended = interrupted(tmp_path, "import 20", "--version")
     finally:
         signal.signal(signal.SIGINT, before)
     assert (ended.returncode, ended.stderr) == (0, "")
@@ -91,8 +91,8 @@ def test_behind_nohup_it_is_not_heard(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_the_module_is_the_program(tmp_path: Path) -> None:
-    ended = subprocess.run([sys.executable, "-m", "polishd", "version"], capture_output=True, check=True, timeout=60)
+    ended = subprocess.run([sys.executable, "-m", "polishd", "--version"], capture_output=True, check=True, timeout=60)
     assert ended.stdout == subprocess.run(
-        [sys.executable, "-c", START, SCRIPT, "version"], capture_output=True, check=True, timeout=60
+        [sys.executable, "-c", START, SCRIPT, "--version"], capture_output=True, check=True, timeout=60
     ).stdout  # fmt: skip
     assert callable(EntryPoint("polishd", SCRIPT, "console_scripts").load())

@@ -159,6 +159,5 @@ def test_a_long_line_is_cut() -> None:
     assert len(happened.line_of(event)) == happened.MOST_CHARACTERS
 
 
-def test_version_and_short_help(polishd: Polishd) -> None:
-    assert polishd("--version").out == polishd("version").out
+def test_short_help(polishd: Polishd) -> None:
     assert polishd("status", "-h").code == 0

@@ -127,7 +127,7 @@ def test_a_mistake_in_a_list_of_tables_is_placed_in_its_own(tmp_path: Path) -> N
     with pytest.raises(ConfigError) as caught:
         load_profile(written(tmp_path, FULL + second))
     start = (FULL + second).count("\n") - second.count("\n")
-    known = "Known here: 'angle_deg', 'height_nm', 'sigma_x_mm', 'sigma_y_mm', 'x_mm', 'y_mm'"
+    known = "Known here: 'angle_deg', 'height_nm', 'sigma_x_mm', 'sigma_y_mm', 'x_mm', 'y_mm'. Correct or remove it"
     assert str(caught.value).replace(str(tmp_path / "p.toml"), "P").splitlines() == [
         f"P:{start + 1}: artefact.bumps.sigma_y_mm: is missing; add it: sigma_y_mm = ...",
         f"P:{start + 4}: artefact.bumps.sigma_x_mm: -3.0 is out of range; must be greater than 0.0",

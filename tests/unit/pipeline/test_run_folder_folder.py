@@ -179,7 +179,7 @@ def test_a_text_under_another_name_is_told_its_own(tmp_path: Path) -> None:
         read_map(path, readers)
     for content in (b"x y z", b"1 2\0"):
         path.write_bytes(content)
-        with pytest.raises(MapError, match=r"\(tried: odd, named, lists\)$"):
+        with pytest.raises(MapError, match=r"\(tried: odd, named, lists\)\. Export the map in one of these formats$"):
             read_map(path, readers)
 
 

@@ -1,4 +1,4 @@
-"""``polishd report``: what is written, what stands on the pages, and one clear error for what cannot be."""
+"""``polishd certificate``: what is written, what stands on the pages, and one clear error for what cannot be."""
 
 from __future__ import annotations
 
@@ -107,43 +107,45 @@ def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
 
 
 def test_from_a_cell_with_its_key(polishd: Polishd, whole_files: DemoFiles, tmp_path: Path) -> None:
-    assert polishd("report", "keygen", tmp_path / "shop.key", "--json").answer["private"] == str(tmp_path / "shop.key")
+    assert polishd("certificate", "keygen", tmp_path / "shop.key", "--json").answer["private"] == str(
+        tmp_path / "shop.key"
+    )
     text = whole_files.cell.read_text() + f'\n[certificate]\nshop = "Example Optics"\nkey = "{tmp_path}/shop.key"\n'
     cell = tmp_path / "cell.toml"
     cell.write_text(text.replace('state_dir = "state"', f'state_dir = "{whole_files.state_dir}"'))
-    made = polishd("report", "certificate", cell, "--out", tmp_path / "c.pdf", "--json").answer
+    made = polishd("certificate", "make", cell, "--out", tmp_path / "c.pdf", "--json").answer
     assert made["key_id"] is not None
     assert made["verdict"]["state"] == "in tolerance"
     assert json.loads((tmp_path / "c.json").read_text())["issuer"]["shop"] == "Example Optics"
     assert stat.S_IMODE((tmp_path / "c.pdf").stat().st_mode) == 0o644
-    said = polishd("report", "verify", tmp_path / "c.pdf", "--key", tmp_path / "shop.key.pub")
+    said = polishd("certificate", "verify", tmp_path / "c.pdf", "--key", tmp_path / "shop.key.pub")
     assert (said.code, said.out.count("\n")) == (0, 3)
 
 
 @pytest.mark.full
 def test_without_a_key_it_says_so(polishd: Polishd, whole: Path, tmp_path: Path) -> None:
-    said = polishd("report", "certificate", whole, "--out", tmp_path / "c.pdf", "--number", "C-17")
+    said = polishd("certificate", "make", whole, "--out", tmp_path / "c.pdf", "--number", "C-17")
     assert said.code == 0
     assert "certificate C-17" in said.out
     assert "not signed" in said.out
-    verified = polishd("report", "verify", tmp_path / "c.json", "--json").answer
+    verified = polishd("certificate", "verify", tmp_path / "c.json", "--json").answer
     assert (verified["number"], verified["right"], verified["signer"]) == ("C-17", True, "")
 
 
 def test_what_is_wrong_is_said_and_is_exit_code_1(polishd: Polishd, signed: Made) -> None:
     signed.pdf.write_bytes(signed.pdf.read_bytes() + b"%")
-    said = polishd("report", "verify", signed.pdf)
+    said = polishd("certificate", "verify", signed.pdf)
     assert said.code == 1
     assert "WRONG: part.pdf was changed" in said.out
     assert said.err.startswith("polishd: ")
-    assert polishd("report", "verify", signed.pdf.with_name("none.pdf")).code == 3
+    assert polishd("certificate", "verify", signed.pdf.with_name("none.pdf")).code == 3
 
 
 def test_nothing_is_overwritten(polishd: Polishd, whole: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "c.json").write_text("mine")
-    said = polishd("report", "certificate", whole, "--out", out / "c.pdf")
+    said = polishd("certificate", "make", whole, "--out", out / "c.pdf")
     assert said.code == 3
     assert "c.json" in said.err
     assert [path.name for path in out.iterdir()] == ["c.json"]
@@ -166,7 +168,7 @@ def test_bad_input_is_one_error_and_no_file(
     out = tmp_path / "out"
     out.mkdir()
     monkeypatch.chdir(out)
-    found = polishd("report", "certificate", whole, *options)
+    found = polishd("certificate", "make", whole, *options)
     assert (found.code, found.err.count("\n")) == (3, 1)
     assert said in found.err
     assert list(out.iterdir()) == []
@@ -185,7 +187,7 @@ def test_a_disk_that_is_full_leaves_neither(
 
     monkeypatch.setattr(issue, "write_atomic", full)
     monkeypatch.setattr(issue, "_drawn", lambda drawn, signed_by: (b"%PDF", 1))
-    said = polishd("report", "certificate", whole, "--out", out / "c.pdf")
+    said = polishd("certificate", "make", whole, "--out", out / "c.pdf")
     assert said.code == 3
     assert "No space left on device" in said.err
     assert list(out.iterdir()) == []
@@ -201,7 +203,7 @@ def test_the_published_schema_is_the_models() -> None:
 
 
 def test_the_schema_is_strict_and_of_its_draft(polishd: Polishd) -> None:
-    found = polishd("report", "schema").answer
+    found = polishd("certificate", "schema").answer
     assert found["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     tables = [found, *found["$defs"].values()]
     assert all(table["additionalProperties"] is False for table in tables if table["type"] == "object")
@@ -211,10 +213,10 @@ def test_the_schema_is_strict_and_of_its_draft(polishd: Polishd) -> None:
 
 
 def test_the_command_line_has_it() -> None:
-    group = next(one for one in app.registered_groups if one.name == "report")
+    group = next(one for one in app.registered_groups if one.name == "certificate")
     assert group.typer_instance is not None
     names = {command.name for command in group.typer_instance.registered_commands}
-    assert names == {"certificate", "verify", "keygen", "schema"}
+    assert names == {"make", "verify", "keygen", "schema"}
 
 
 @pytest.mark.full
