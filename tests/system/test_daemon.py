@@ -168,7 +168,7 @@ def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_p
         said = refused.stderr.replace("\n", " ")
         assert f"part.edge_mm: is {config.part.edge_mm + 1}, the job 'demo' began with {config.part.edge_mm}" in said
         assert "program.path: is program.rnc (sha256 " in said
-        assert "restore what differs, or give job.id a new name" in said
+        assert "Restore them, or set a new job.id" in said
         files.cell.write_text(cell)
         config.program_path.write_bytes(program)
         shutil.rmtree(files.run_dir)
@@ -220,7 +220,7 @@ def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> 
     assert "ended: SurfaceError" in words[0]
     assert "resume" not in words[0]
     assert words[1:4] == ["tool off the part: yes", "robot at rest: yes", f"run folder: {files.run_dir}"]
-    assert f"correct the cause, then: polishd run {files.cell};" in words[4]
+    assert f"correct the cause, then: polishd run {files.cell} " in words[4]
 
 
 @pytest.mark.full

@@ -58,7 +58,7 @@ def test_a_spindle_that_dies_at_night_is_heard_of(tmp_path: Path) -> None:
             assert daemon.wait() == 5
         told = hook.wait()
         ending = json.loads((files.state_dir / "ending.json").read_text())
-        assert (told["event"], told["severity"]) == ("failed", "alarm")
+        assert (told["event"], told["severity"]) == ("daemon_failed", "alarm")
         assert told["what"] == f"failed: {ending['reason']}"
         assert told["todo"] == ending["next"].replace("CELL.toml", str(files.cell))
         assert "tool off the part: yes" in told["now"]
