@@ -1,4 +1,4 @@
-"""The picture of docs/performance.md of what a dwell costs as a part grows: ``python -m docs.reference.cost``.
+"""Write the picture of a dwell's cost as a part grows: ``python -m docs.reference.cost``.
 
 It is drawn from the page's own rows of ``make bench ARGS=size``.
 """

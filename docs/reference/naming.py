@@ -1,4 +1,4 @@
-"""The confusion matrix of docs/diagnosis.md: ``python -m docs.reference.naming DIR``, the study's ``--out``."""
+"""Write the study's confusion matrix into docs/reference/results.md: ``python -m docs.reference.naming DIR``."""
 
 from __future__ import annotations
 

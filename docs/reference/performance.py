@@ -1,4 +1,4 @@
-"""The table of docs/performance.md: ``python -m docs.reference.performance build/bench.json``."""
+"""The table of docs/explanation/performance.md: ``python -m docs.reference.performance build/bench.json``."""
 
 from __future__ import annotations
 

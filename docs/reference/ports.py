@@ -1,4 +1,4 @@
-"""The ports of docs/drivers.md, written from the Protocols, the records and the suites that hold drivers to them."""
+"""Write docs/reference/ports.md from the Protocols, the records and the suites that check drivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of docs/studies.md: ``python -m docs.reference.robustness DIR``, the study's ``--out`` so far."""
+"""The tables of docs/how-to/studies.md: ``python -m docs.reference.robustness DIR``, the study's ``--out`` so far."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of docs/scenarios.md: ``python -m docs.reference.scenarios DIR``, the study's ``--out``."""
+"""The tables of docs/explanation/scenarios.md: ``python -m docs.reference.scenarios DIR``, the study's ``--out``."""
 
 from __future__ import annotations
 

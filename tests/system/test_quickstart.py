@@ -1,4 +1,4 @@
-"""docs/quickstart.md: its answers and its commands as they stand there, from an empty folder with nothing but a map."""
+"""docs/tutorials/rehearsed-cell.md: its answers and commands as written, from an empty folder and a map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.unit.maps.maps import dat
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
-PAGE = (Path(__file__).parents[2] / "docs" / "quickstart.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "tutorials" / "rehearsed-cell.md").read_text()
 MOST_TO_A_PLAN = 6
 
 

@@ -1,4 +1,4 @@
-"""What ``make replies`` came to: docs/replies.jsonl, a line a driver, and docs/replies.md of it."""
+"""What ``make replies`` came to: docs/data/replies.jsonl, a line a driver, and docs/explanation/replies.md of it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.campaigns.codecs.nasty import BAD, Talk, require_said
 from tests.campaigns.codecs.talks import TALKS, campaign
 from tests.system.sim_rig import ROOT
 
-PAGE = ROOT / "docs" / "replies.md"
+PAGE = ROOT / "docs" / "explanation" / "replies.md"
 LINES = PAGE.with_suffix(".jsonl")
 BEGIN, END = "<!-- written by make replies -->\n", "<!-- end of what make replies writes -->"
 HEADER = """\

@@ -1,4 +1,4 @@
-"""What the campaign came to: docs/fault-matrix.jsonl, a line a case, and docs/fault-losses.jsonl, a line a link."""
+"""Results: docs/data/fault-matrix.jsonl, a line a case, and docs/data/fault-losses.jsonl, a line a link."""
 
 from __future__ import annotations
 

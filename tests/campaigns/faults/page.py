@@ -1,4 +1,4 @@
-"""docs/fault-matrix.md, of what is kept beside it."""
+"""docs/explanation/fault-matrix.md, of what is kept beside it."""
 
 from __future__ import annotations
 

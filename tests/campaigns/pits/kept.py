@@ -1,4 +1,4 @@
-"""What ``make pits`` came to: docs/pits.jsonl, a line a case, and the table in docs/pits.md."""
+"""What ``make pits`` came to: docs/data/pits.jsonl, a line a case, and the table in docs/explanation/pits.md."""
 
 from __future__ import annotations
 

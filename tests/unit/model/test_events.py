@@ -1,4 +1,4 @@
-"""The records of what happens, and the table of them in docs/plugins.md."""
+"""The records of what happens, and the table of them in docs/how-to/plugins.md."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from polishd.model.events import EVENTS, CellOpened, Event, MapMeasured, PassEnd
 from polishd.model.states import Outcome
 from polishd.model.surface import SurfaceStats
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "plugins.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "plugins.md"
 NOTIFICATIONS = DOCS.with_name("notifications.md")
 
 

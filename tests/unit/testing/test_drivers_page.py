@@ -1,4 +1,4 @@
-"""docs/drivers.md: its driver passes the suite, a broken one fails with the requirement, its ports are the code's."""
+"""docs/how-to/drivers.md: its driver passes the suite, a broken one fails; ports.md is the code's."""
 
 from __future__ import annotations
 
