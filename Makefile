@@ -36,20 +36,20 @@ test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 test-maps: $(VENV)/.installed ## read 100,000 broken files of each map format; 10,000 writes into the maps folder
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/interferometer/test_map_fuzz.py tests/campaigns/test_folder_campaign.py $(ARGS)
 
-ways-out: $(VENV)/.installed ## run every way out of contact in real time; table in docs/explanation/cycle.md
+ways-out: $(VENV)/.installed ## run every way out of contact in real time; table in docs/reference/results.md
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
 	@$(BIN)/python -m tests.campaigns.ways_out
 
-crash: $(VENV)/.installed ## try 100,000 crash states of the journal, 2,000 kills, and its model; into docs/explanation/reliability.md (ARGS="...")
+crash: $(VENV)/.installed ## try 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reference/results.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash $(ARGS)
 
-faults: $(VENV)/.installed ## inject every fault on every link in contact; into docs/explanation/fault-matrix.md, can be continued (ARGS="--minutes 30 --jobs 3")
+faults: $(VENV)/.installed ## inject every fault on every link in contact; into docs/reference/results.md, can be continued (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
-pits: $(VENV)/.installed ## measure the depth beyond plan of stopped or slow robots and wrong forces; into docs/explanation/pits.md, can be continued (ARGS="--json")
+pits: $(VENV)/.installed ## measure the depth beyond plan of stopped or slow robots and wrong forces; into docs/reference/results.md, can be continued (ARGS="--json")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.pits $(ARGS)
 
-replies: $(VENV)/.installed ## send a million malformed or late replies to each driver; into docs/explanation/replies.md, can be continued (ARGS="--minutes 20")
+replies: $(VENV)/.installed ## send a million malformed or late replies to each driver; into docs/reference/results.md, can be continued (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)
 
 model: $(VENV)/.installed ## check the model of the journal's protocol
@@ -58,13 +58,13 @@ model: $(VENV)/.installed ## check the model of the journal's protocol
 coverage: $(VENV)/.installed ## check that a test runs every branch of state machine, journal, recovery and safety
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation.covered $(ARGS)
 
-shop-campaign: $(VENV)/.installed ## run parts through three cells and a shop with random kills; into docs/how-to/shop.md, can be continued (ARGS="--minutes 30")
+shop-campaign: $(VENV)/.installed ## run parts through three cells and a shop with random kills; into docs/reference/results.md, can be continued (ARGS="--minutes 30")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.shop $(ARGS)
 
-mutate: $(VENV)/.installed ## check that a test finds each small fault in these modules; into docs/explanation/reliability.md (ARGS="touch safety")
+mutate: $(VENV)/.installed ## check that a test finds each small fault in these modules; into docs/reference/results.md (ARGS="touch safety")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation $(ARGS)
 
-soak: $(VENV)/.installed ## run 931 parts through the queue of simulated cells; into docs/explanation/reliability.md (ARGS="...")
+soak: $(VENV)/.installed ## run 931 parts through the queue of simulated cells; into docs/reference/results.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.soak $(ARGS)
 
 # Peers are no part of polishd: they have a venv of their own, and what cannot be fetched is skipped by its name.
@@ -104,7 +104,7 @@ reference: $(VENV)/.installed ## write docs/reference (all config keys) and the 
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
-performance: $(VENV)/.installed ## write the results of make bench into docs/explanation/performance.md
+performance: $(VENV)/.installed ## write the results of make bench into docs/reference/results.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
 	@$(BIN)/python -m docs.reference.cost
 
@@ -113,19 +113,19 @@ compare: $(VENV)/.installed ## compare the compliance corrections on parts of 10
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections_300.toml --out build/compare/300 $(COMPARED)
 
-naming: $(VENV)/.installed ## continue the study of the diagnosis; into docs/explanation/diagnosis.md (ARGS="--workers 2")
+naming: $(VENV)/.installed ## continue the study of the diagnosis; into docs/reference/results.md (ARGS="--workers 2")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/naming.toml --out build/naming $(ARGS)
 	@$(BIN)/python -m docs.reference.naming build/naming
 
-scenarios: $(VENV)/.installed ## continue the study of one fault at a time in three loops; into docs/explanation/scenarios.md (ARGS="--limit N")
+scenarios: $(VENV)/.installed ## continue the study of one fault at a time in three loops; into docs/reference/results.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/scenarios.toml --out build/scenarios $(ARGS)
 	@$(BIN)/python -m docs.reference.scenarios build/scenarios
 
-robustness: $(VENV)/.installed ## continue the study of 2,200 jobs on varied machines with each correction; into docs/how-to/studies.md
+robustness: $(VENV)/.installed ## continue the study of 2,200 jobs on varied machines with each correction; into docs/reference/results.md
 	@$(ONE_THREAD) $(BIN)/polishd study examples/robustness.toml --out build/robustness $(ARGS)
 	@$(BIN)/python -m docs.reference.robustness build/robustness
 
-robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses a worker; must be equal to the bit; into docs/how-to/studies.md (ARGS="--limit N")
+robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses a worker; must be equal to the bit; into docs/reference/results.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.cluster $(ARGS)
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.

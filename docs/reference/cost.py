@@ -35,7 +35,7 @@ def main() -> None:
         axes.set(xlabel="blocks", ylabel="CPU seconds" if unit == "s" else "most memory, MB")
         axes.grid(alpha=0.3)
     figure.axes[0].legend(fontsize=8)
-    figure.savefig(PAGE.parent / "images" / "cost.png", dpi=110)
+    figure.savefig(PAGE.parents[1] / "images" / "cost.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-PAGE = Path(__file__).parents[1] / "diagnosis.md"
+PAGE = Path(__file__).with_name("results.md")
 BEGIN, END = "<!-- written by make naming -->\n", "<!-- end of what make naming writes -->"
 
 

@@ -19,7 +19,7 @@ from polishd.interfaces import Device
 from polishd.model import devices
 from polishd.testing.suites import actuator, device, force_sensor, loader, monitor, robot, spindle
 
-PAGE = Path(__file__).parents[1] / "drivers.md"
+PAGE = Path(__file__).with_name("ports.md")
 BEGIN, END = "<!-- Written by `make reference` from the code, down to the end of it. -->", "<!-- The end of it. -->"
 SUITES = {
     "robot": robot,

@@ -234,8 +234,8 @@ class ProcessSection(ContactKeys):
     """Name of the removal model of a plugin: `hertz_preston` computes a spot, `measured_tif` uses `tif`."""
     estimates: Text = "rate"
     """Quantities estimated from a pass. `rate`: the removal rate, or all parameters of a removal model with an
-    estimator; `machine`: with polishd's models all parameters of identification (docs/explanation/identification.md): its
-    field over the part, the spot's position and width, compliance, seat."""
+    estimator; `machine`: with polishd's models all parameters of identification
+    (docs/explanation/identification.md): its field over the part, the spot's position and width, compliance, seat."""
     correction: Correction = "exact"
     """Correction of the dwell for the robot's compliance: none, point by point after the solution, by gamma (eq. 49),
     by gamma to the power `depth_exponent`, or by the spot at the depth of each point."""

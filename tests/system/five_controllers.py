@@ -173,7 +173,7 @@ def figures(files: DemoFiles, controller: Controller, true_s: Sequence[np.ndarra
 
 
 SAVED = Path("build/five-controllers")
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "robot.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "results.md"
 BEGIN = "<!-- written by python -m tests.system.five_controllers -->\n"
 END = "<!-- end of what it writes -->"
 HEADER = """\
