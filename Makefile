@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -101,6 +101,20 @@ reference: $(VENV)/.installed ## write docs/reference (all config keys) and the 
 	@$(BIN)/python -m docs.reference.write
 	@$(BIN)/python -m docs.reference.man
 
+# Sphinx is no part of polishd: it has a venv of its own, which also imports from $(VENV) for the API reference.
+DOCS := build/docs-venv
+SPHINX := -E -W --keep-going -q -b html docs build/docs
+docs: $(DOCS)/.installed $(VENV)/.installed ## build the documentation site, warnings as errors; into build/docs/index.html
+	@$(DOCS)/bin/python -m sphinx $(SPHINX) $(ARGS)
+
+$(DOCS)/.installed: docs/requirements.lock $(VENV)/.locked
+	@echo "making $(DOCS) from docs/requirements.lock" >&2
+	@$(BIN)/python -m venv --clear $(DOCS)
+	@$(DOCS)/bin/python -m pip -qq --disable-pip-version-check --no-input install --require-hashes -r $<
+	@site() { "$$1" -c 'import sysconfig; print(sysconfig.get_path("purelib"))'; }; \
+	    site $(BIN)/python > "$$(site $(DOCS)/bin/python)/polishd.pth"
+	@touch $@
+
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
@@ -129,12 +143,15 @@ robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.cluster $(ARGS)
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
-lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
+lock: ## rewrite requirements.lock and docs/requirements.lock (ARGS=--upgrade for newer versions)
 	@$(PYTHON) -m venv --clear build/uv
 	@build/uv/bin/python -m pip -qq --disable-pip-version-check install 'uv>=0.9,<1'
 	@build/uv/bin/uv --quiet pip compile pyproject.toml --group dev --output-file requirements.lock \
 	    --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
+	@build/uv/bin/uv --quiet pip compile docs/requirements.in --constraints requirements.lock \
+	    --output-file docs/requirements.lock --universal --python-version 3.11 --fork-strategy fewest \
+	    --generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@rm -rf build/uv
 
 clean: ## remove all generated files
