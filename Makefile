@@ -97,9 +97,10 @@ format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
-reference: $(VENV)/.installed ## write docs/reference (all config keys) and the man page docs/polishd.1 from the source
+reference: $(VENV)/.installed ## write docs/reference (config keys, ports, command line) and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
 	@$(BIN)/python -m docs.reference.man
+	@$(BIN)/python -m docs.reference.cli
 
 # Sphinx is no part of polishd: it has a venv of its own, which also imports from $(VENV) for the API reference.
 DOCS := build/docs-venv

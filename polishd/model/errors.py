@@ -1,7 +1,7 @@
 """The error tree. Each class is named by what happens next, and carries the exit code of the command line.
 
 Those marked * leave the daemon held where no pass was under way: a person mends the cause, and it goes on
-(docs/explanation/cycle.md). All others end it.
+(docs/reference/errors.md). All others end it.
 
 PolishdError
   ConfigError      nothing was opened: mend the file                    (3)
