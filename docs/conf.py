@@ -6,7 +6,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from pygments.lexers.special import TextLexer
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # the source of the API reference
@@ -16,7 +18,7 @@ author = "The polishd developers"
 copyright = author  # noqa: A001 (Sphinx reads this name)
 html_title = "polishd"
 
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["data", "contributing/patches", "requirements.*"]
 html_theme = "furo"
 html_copy_source = False
@@ -37,6 +39,7 @@ add_module_names = False
 
 def setup(app: Any) -> dict[str, bool]:
     """Register equations as MathML, which browsers render without scripts or fonts from elsewhere."""
+    app.add_lexer("vectors", TextLexer)  # test vectors of docs/protocols
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -52,7 +55,5 @@ def _block_math(translator: Any, node: Any) -> None:
 
 
 def _write_math(translator: Any, node: Any, *, as_block: bool) -> None:
-    from docutils import nodes
-
     translator.body.append(tex2mathml(node.astext(), as_block=as_block))
     raise nodes.SkipNode

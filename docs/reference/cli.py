@@ -17,8 +17,8 @@ HEAD = """\
 
 # Command line
 
-`polishd run` starts the daemon of a cell; the other commands make its files, or use its socket. Each command has `--help`, and most have
-`--json`. Exit codes: [errors.md](errors.md). Shell completion: `polishd --install-completion`.
+`polishd run` starts the daemon of a cell; the other commands make its files, or use its socket. Each command has
+`--help`, and most have `--json`. Exit codes: [errors.md](errors.md). Shell completion: `polishd --install-completion`.
 """
 
 

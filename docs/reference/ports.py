@@ -58,14 +58,14 @@ def _sections() -> Iterator[str]:
     for name, port in PORTS.items():
         title = f"`{port.protocol.__name__}`: `[{name}]`"
         yield from _port(title, port.protocol, SUITES.get(name))
-    yield "### Records\n"
+    yield "## Records\n"
     for record in (getattr(devices, name) for name in vars(devices) if inspect.isclass(getattr(devices, name))):
         if record.__module__ == devices.__name__:
             yield from _record(record)
 
 
 def _port(title: str, port: type, suite: ModuleType | None) -> Iterator[str]:
-    yield f"### {title}\n"
+    yield f"## {title}\n"
     yield f"{_code(_flat(inspect.getdoc(port) or ''))}\n"
     yield COLUMNS
     for name, member in methods(port).items():
