@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs paper bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -115,6 +115,17 @@ $(DOCS)/.installed: docs/requirements.lock $(VENV)/.locked
 	@site() { "$$1" -c 'import sysconfig; print(sysconfig.get_path("purelib"))'; }; \
 	    site $(BIN)/python > "$$(site $(DOCS)/bin/python)/polishd.pth"
 	@touch $@
+
+PAPER := build/paper
+paper: $(VENV)/.installed ## draw the pictures of docs/explanation/paper.md again
+	@for study in table_iii table_iv fig_12; do \
+	    $(ONE_THREAD) $(BIN)/polishd study examples/$$study.toml --out $(PAPER)/$$study >/dev/null || exit; done
+	@$(BIN)/polishd compliance examples/cell.toml --out docs/images/paper/fig_10.png >/dev/null
+	@$(BIN)/polishd tif examples/cell.toml --out docs/images/paper/spot.png >/dev/null
+	@cp $(PAPER)/table_iii/profiles_radius.png docs/images/paper/table_iii.png
+	@cp $(PAPER)/table_iv/residuals_depth.png docs/images/paper/table_iv.png
+	@cp $(PAPER)/table_iv/setting.png docs/images/paper/fig_13.png
+	@cp $(PAPER)/fig_12/passes.png docs/images/paper/fig_12.png
 
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
