@@ -29,13 +29,15 @@ ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```(?:python|py|python3|pycon)\b[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 NO_NUMBER = re.compile(r"(?<![\w.])[+-]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
 
-HERE = ("README.md", "docs/how-to/dwell.md", "docs/how-to/recording.md", "docs/how-to/studies.md")
+HERE = ("docs/tutorials/plugin.md", "docs/how-to/dwell.md", "docs/how-to/recording.md", "docs/how-to/studies.md")
 """Pages whose examples this module runs."""
 ELSEWHERE = {
     "docs/how-to/certificate.md": "tests/unit/reports/certificate/test_issue.py",
     "docs/how-to/drivers.md": "tests/unit/testing/test_drivers_page.py",
     "docs/how-to/plugins.md": "tests/unit/test_plugin_docs.py",
     "docs/how-to/recipe.md": "tests/unit/pipeline/test_docs.py",
+    "docs/tutorials/first-plan.md": "tests/system/test_tutorials.py",
+    "docs/tutorials/rehearsed-cell.md": "tests/system/test_tutorials.py",
     "docs/how-to/researcher.md": "tests/unit/test_analysis.py",
 }
 """Pages whose examples need what another test has: that test, which reads the page."""
@@ -130,8 +132,8 @@ def _used(code: str) -> Iterator[str]:
 # those of pages without a test of their own
 
 
-def test_the_plugin_of_the_readme(install: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    (one,) = EXAMPLES["README.md"]
+def test_the_plugin_of_the_tutorial(install: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    (one,) = EXAMPLES["docs/tutorials/plugin.md"]
     hooks = load_plugins([install("weekend", one.code, api=None)])
     hooks.report.require()
     (plugin,) = hooks.report.loaded
