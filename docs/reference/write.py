@@ -74,12 +74,12 @@ comments. Relative paths start from the file's folder. The options of `[robot]`,
 `[metrology]`, `[loader]`, `[force_sensor]`, `[monitor]` and `[notify.NAME]` depend on `type`. This page has polishd's
 own types; other plugins may add more.""",
     "study": """This page lists the keys of a study's file; [studies.md](../how-to/studies.md) describes what they
-compute. The keys depend on `kind`. `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with
-their defaults.""",
+compute. The keys depend on `kind`. `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of
+[a cell](cell.md), with their defaults.""",
     "profile": """This page lists the keys of an instrument's profile;
 [examples/instrument.toml](../../examples/instrument.toml) shows them with comments, and
 [instruments.md](../how-to/instruments.md) describes how to prove the profile.""",
-    "device": """This page lists the keys of a profile of a drive or a sensor; [devices.md](../how-to/devices.md) describes
+    "device": """This page lists the keys of a profile of a drive or a sensor; [devices.md](../how-to/devices.md) says
 how to make and try one. A profile has one of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`,
 `[lines]`.""",
     "controller": """This page lists the keys of the profile of a robot controller that loads files
