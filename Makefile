@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs paper bench compare naming scenarios lock clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -36,20 +36,20 @@ test-long: $(VENV)/.installed ## run the long campaigns (ARGS="...")
 test-maps: $(VENV)/.installed ## read 100,000 broken files of each map format; 10,000 writes into the maps folder
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/unit/plugins/interferometer/test_map_fuzz.py tests/campaigns/test_folder_campaign.py $(ARGS)
 
-ways-out: $(VENV)/.installed ## run every way out of contact in real time; table in docs/cycle.md
+ways-out: $(VENV)/.installed ## run every way out of contact in real time; table in docs/reference/results.md
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m slow tests/campaigns/test_ways_out.py $(ARGS)
 	@$(BIN)/python -m tests.campaigns.ways_out
 
-crash: $(VENV)/.installed ## try 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reliability.md (ARGS="...")
+crash: $(VENV)/.installed ## try 100,000 crash states of the journal, 2,000 kills, and its model; into docs/reference/results.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.crash $(ARGS)
 
-faults: $(VENV)/.installed ## inject every fault on every link in contact; into docs/fault-matrix.md, can be continued (ARGS="--minutes 30 --jobs 3")
+faults: $(VENV)/.installed ## inject every fault on every link in contact; into docs/reference/results.md, can be continued (ARGS="--minutes 30 --jobs 3")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.faults $(ARGS)
 
-pits: $(VENV)/.installed ## measure the depth beyond plan of stopped or slow robots and wrong forces; into docs/pits.md, can be continued (ARGS="--json")
+pits: $(VENV)/.installed ## measure the depth beyond plan of stopped or slow robots and wrong forces; into docs/reference/results.md, can be continued (ARGS="--json")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.pits $(ARGS)
 
-replies: $(VENV)/.installed ## send a million malformed or late replies to each driver; into docs/replies.md, can be continued (ARGS="--minutes 20")
+replies: $(VENV)/.installed ## send a million malformed or late replies to each driver; into docs/reference/results.md, can be continued (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)
 
 model: $(VENV)/.installed ## check the model of the journal's protocol
@@ -58,18 +58,18 @@ model: $(VENV)/.installed ## check the model of the journal's protocol
 coverage: $(VENV)/.installed ## check that a test runs every branch of state machine, journal, recovery and safety
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation.covered $(ARGS)
 
-shop-campaign: $(VENV)/.installed ## run parts through three cells and a shop with random kills; into docs/shop.md, can be continued (ARGS="--minutes 30")
+shop-campaign: $(VENV)/.installed ## run parts through three cells and a shop with random kills; into docs/reference/results.md, can be continued (ARGS="--minutes 30")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.shop $(ARGS)
 
-mutate: $(VENV)/.installed ## check that a test finds each small fault in these modules; into docs/reliability.md (ARGS="touch safety")
+mutate: $(VENV)/.installed ## check that a test finds each small fault in these modules; into docs/reference/results.md (ARGS="touch safety")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.mutation $(ARGS)
 
-soak: $(VENV)/.installed ## run 931 parts through the queue of simulated cells; into docs/reliability.md (ARGS="...")
+soak: $(VENV)/.installed ## run 931 parts through the queue of simulated cells; into docs/reference/results.md (ARGS="...")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.soak $(ARGS)
 
 # Peers are no part of polishd: they have a venv of their own, and what cannot be fetched is skipped by its name.
 INTEROP := build/interop
-interop: $(VENV)/.installed ## test all links with third-party peers; into docs/interop.md
+interop: $(VENV)/.installed ## test all links with third-party peers; into docs/reference/interop.md
 	@$(MAKE) --no-print-directory -k $(INTEROP)/venv/.installed $(INTEROP)/node_modules/.installed || \
 	    echo "NOT ALL PEERS: some cannot be fetched here, and their tests are skipped" >&2
 	@$(ONE_THREAD) $(BIN)/python -m tests.interop $(ARGS)
@@ -97,14 +97,40 @@ format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
-reference: $(VENV)/.installed ## write docs/reference (all config keys) and the man page docs/polishd.1 from the source
+reference: $(VENV)/.installed ## write docs/reference (config keys, ports, command line) and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
 	@$(BIN)/python -m docs.reference.man
+	@$(BIN)/python -m docs.reference.cli
+
+# Sphinx is no part of polishd: it has a venv of its own, which also imports from $(VENV) for the API reference.
+DOCS := build/docs-venv
+SPHINX := -E -W --keep-going -q -b html docs build/docs
+docs: $(DOCS)/.installed $(VENV)/.installed ## build the documentation site, warnings as errors; into build/docs/index.html
+	@$(DOCS)/bin/python -m sphinx $(SPHINX) $(ARGS)
+
+$(DOCS)/.installed: docs/requirements.lock $(VENV)/.locked
+	@echo "making $(DOCS) from docs/requirements.lock" >&2
+	@$(BIN)/python -m venv --clear $(DOCS)
+	@$(DOCS)/bin/python -m pip -qq --disable-pip-version-check --no-input install --require-hashes -r $<
+	@site() { "$$1" -c 'import sysconfig; print(sysconfig.get_path("purelib"))'; }; \
+	    site $(BIN)/python > "$$(site $(DOCS)/bin/python)/polishd.pth"
+	@touch $@
+
+PAPER := build/paper
+paper: $(VENV)/.installed ## draw the pictures of docs/explanation/paper.md again
+	@for study in table_iii table_iv fig_12; do \
+	    $(ONE_THREAD) $(BIN)/polishd study examples/$$study.toml --out $(PAPER)/$$study >/dev/null || exit; done
+	@$(BIN)/polishd compliance examples/cell.toml --out docs/images/paper/fig_10.png >/dev/null
+	@$(BIN)/polishd tif examples/cell.toml --out docs/images/paper/spot.png >/dev/null
+	@cp $(PAPER)/table_iii/profiles_radius.png docs/images/paper/table_iii.png
+	@cp $(PAPER)/table_iv/residuals_depth.png docs/images/paper/table_iv.png
+	@cp $(PAPER)/table_iv/setting.png docs/images/paper/fig_13.png
+	@cp $(PAPER)/fig_12/passes.png docs/images/paper/fig_12.png
 
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
-performance: $(VENV)/.installed ## write the results of make bench into docs/performance.md
+performance: $(VENV)/.installed ## write the results of make bench into docs/reference/results.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
 	@$(BIN)/python -m docs.reference.cost
 
@@ -113,28 +139,31 @@ compare: $(VENV)/.installed ## compare the compliance corrections on parts of 10
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections.toml --out build/compare/100 $(COMPARED)
 	@$(ONE_THREAD) $(BIN)/polishd study examples/corrections_300.toml --out build/compare/300 $(COMPARED)
 
-naming: $(VENV)/.installed ## continue the study of the diagnosis; into docs/diagnosis.md (ARGS="--workers 2")
+naming: $(VENV)/.installed ## continue the study of the diagnosis; into docs/reference/results.md (ARGS="--workers 2")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/naming.toml --out build/naming $(ARGS)
 	@$(BIN)/python -m docs.reference.naming build/naming
 
-scenarios: $(VENV)/.installed ## continue the study of one fault at a time in three loops; into docs/scenarios.md (ARGS="--limit N")
+scenarios: $(VENV)/.installed ## continue the study of one fault at a time in three loops; into docs/reference/results.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/polishd study examples/scenarios.toml --out build/scenarios $(ARGS)
 	@$(BIN)/python -m docs.reference.scenarios build/scenarios
 
-robustness: $(VENV)/.installed ## continue the study of 2,200 jobs on varied machines with each correction; into docs/studies.md
+robustness: $(VENV)/.installed ## continue the study of 2,200 jobs on varied machines with each correction; into docs/reference/results.md
 	@$(ONE_THREAD) $(BIN)/polishd study examples/robustness.toml --out build/robustness $(ARGS)
 	@$(BIN)/python -m docs.reference.robustness build/robustness
 
-robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses a worker; must be equal to the bit; into docs/studies.md (ARGS="--limit N")
+robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses a worker; must be equal to the bit; into docs/reference/results.md (ARGS="--limit N")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.cluster $(ARGS)
 
 # The lock is changed only here. --upgrade in ARGS takes newer versions; without it only what pyproject.toml asks for.
-lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
+lock: ## rewrite requirements.lock and docs/requirements.lock (ARGS=--upgrade for newer versions)
 	@$(PYTHON) -m venv --clear build/uv
 	@build/uv/bin/python -m pip -qq --disable-pip-version-check install 'uv>=0.9,<1'
 	@build/uv/bin/uv --quiet pip compile pyproject.toml --group dev --output-file requirements.lock \
 	    --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
+	@build/uv/bin/uv --quiet pip compile docs/requirements.in --constraints requirements.lock \
+	    --output-file docs/requirements.lock --universal --python-version 3.11 --fork-strategy fewest \
+	    --generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@rm -rf build/uv
 
 clean: ## remove all generated files

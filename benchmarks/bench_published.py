@@ -49,7 +49,7 @@ def part(shortest_mm: float) -> tuple[Grid, BoolArray, BoolArray, FloatArray]:
 
 
 MIRRORS = Path(__file__).parents[2] / "shared" / "data"
-"""Folder beside the repository for the data; docs/dwell.md describes the two mirrors."""
+"""Folder beside the repository for the data; docs/how-to/dwell.md describes the two mirrors."""
 MIRROR = {
     # rows, columns, peak nm/s, sigma mm, least RMS nm and its dwell in min (an exact solution: tests/unit/process)
     "xray": (slice(19, 62), slice(26, 553), 10.0, 1.0, 0.0599, 545.2),

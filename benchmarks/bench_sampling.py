@@ -37,7 +37,7 @@ SPELL_S = 10.0
 """Of each turn; turns with and without a solve alternate, so that a busy spell of the machine hits both."""
 TURNS = 3
 NICE = 5
-"""Of the process that computes: docs/host.md."""
+"""Of the process that computes: docs/how-to/host.md."""
 MEANT_MS = 20.0
 """Aim for p99.9 on an idle machine: printed beside the figure, since the load of this machine is not known."""
 SIM = """

@@ -44,7 +44,7 @@ BOUNDS = {
 }
 """Most bytes of peak memory that a stage may take for each block (a language: for each line) beside its input.
 
-Its output is included. docs/programs.md lists them; benchmark and test check them.
+Its output is included. docs/how-to/programs.md lists them; benchmark and test check them.
 """
 FIXED_MB = 40.0
 """Memory of a stage for any number of blocks: pieces of the program's text under way, SQLite's pages."""

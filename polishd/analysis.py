@@ -1,7 +1,7 @@
 """Analysis API for researchers: maps, spots, robots, dwell, closed-loop jobs, studies.
 
-Each name is also a name of the package: ``polishd.read_map("map.dat")``. Examples: docs/researcher.md. Plugins and
-drivers use `polishd.api` instead.
+Each name is also a name of the package: ``polishd.read_map("map.dat")``. Examples:
+docs/how-to/researcher.md. Plugins and drivers use `polishd.api` instead.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def run_study(
         scheduler: Address of a Dask scheduler instead, as ``tcp://HOST:PORT``.
 
     Returns:
-        One row per case, in order, with the columns of docs/studies.md.
+        One row per case, in order, with the columns of docs/how-to/studies.md.
 
     Raises:
         ConfigError: A case is invalid, or no process computes it; nothing was computed.

@@ -1,4 +1,4 @@
-"""The picture of docs/performance.md of what a dwell costs as a part grows: ``python -m docs.reference.cost``.
+"""Write the picture of a dwell's cost as a part grows: ``python -m docs.reference.cost``.
 
 It is drawn from the page's own rows of ``make bench ARGS=size``.
 """
@@ -35,7 +35,7 @@ def main() -> None:
         axes.set(xlabel="blocks", ylabel="CPU seconds" if unit == "s" else "most memory, MB")
         axes.grid(alpha=0.3)
     figure.axes[0].legend(fontsize=8)
-    figure.savefig(PAGE.parent / "images" / "cost.png", dpi=110)
+    figure.savefig(PAGE.parents[1] / "images" / "cost.png", dpi=110)
 
 
 if __name__ == "__main__":

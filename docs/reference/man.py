@@ -14,6 +14,7 @@ from polishd.cli.app import app
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "polishd.1"
+ERRORS = Path(__file__).with_name("errors.md")
 EXAMPLES = (
     ("polishd demo", "Polish a simulated part, from the first map to the report."),
     ("polishd init new-cell", "Begin a new cell, and list what is left to do."),
@@ -23,7 +24,6 @@ EXAMPLES = (
     ("polishd status CELL.toml --json", "What the daemon does, for a program."),
 )
 """Commands, and what they are for."""
-INTERRUPTED = ("130", "Ctrl-C")
 _TYPE = re.compile(r" <(?:list\[)?(?:path|Path|str)\]?>(?:\.\.\.)?$")
 """Type of an argument that its name shows already."""
 
@@ -34,20 +34,18 @@ def page() -> str:
 
 
 def exit_codes() -> list[tuple[str, str]]:
-    """Return each code with its meaning, from the table in README.md."""
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-    first = next(index for index, line in enumerate(lines) if line.startswith("| 0 | 1 | 2 |"))
-    codes, meanings = ([cell.strip() for cell in lines[row].strip("|").split("|")] for row in (first, first + 2))
-    return [*zip(codes, meanings, strict=True), INTERRUPTED]
+    """Return each code with its meaning, from the table in docs/reference/errors.md."""
+    rows = (line.strip("|").split("|") for line in ERRORS.read_text(encoding="utf-8").splitlines())
+    return [(row[0].strip(), row[1].strip()) for row in rows if len(row) == 2 and row[0].strip().isdigit()]
 
 
 def _lines() -> Iterator[str]:
     command: Any = typer.main.get_command(app)
     yield '.\\" Written by make reference, from the command line itself.'
     yield f'.TH POLISHD 1 "" "polishd {__version__}" "User Commands"'
-    yield from (".SH NAME", f"polishd {_roff('-')} {_roff(_sentence(command.help).rstrip('.').lower())}")
+    yield from (".SH NAME", f"polishd {_roff('-')} {_roff(one_line(command.help).rstrip('.').lower())}")
     yield from (".SH SYNOPSIS", ".B polishd", _roff("COMMAND [OPTIONS] [ARGUMENTS]"))
-    yield from (".SH DESCRIPTION", _roff(_sentence(command.help)))
+    yield from (".SH DESCRIPTION", _roff(one_line(command.help)))
     yield _roff("polishd run starts the daemon of a cell; the other commands make its files, or use its socket.")
     yield _roff("Each command has --help, with the text of this page, and most have --json.")
     yield ".SH COMMANDS"
@@ -74,18 +72,19 @@ def _commands(group: Any, path: str) -> Iterator[str]:
         pieces = [piece for piece in command.collect_usage_pieces(context) if piece != "[OPTIONS]"]
         usage = _roff(" ".join([whole, *pieces])).replace('"', "\\(dq")
         yield f'.SS "{usage}"'
-        yield _roff(_sentence(command.help))
+        yield _roff(one_line(command.help))
         for param in command.get_params(context):
             record = None if "--help" in getattr(param, "opts", ()) else param.get_help_record(context)
             if record is not None:
                 yield from (
                     ".TP",
-                    f".B {_roff(_TYPE.sub('', _sentence(record[0])))}",
-                    _roff(_sentence(record[1]) or "As its name says."),
+                    f".B {_roff(_TYPE.sub('', one_line(record[0])))}",
+                    _roff(one_line(record[1]) or "As its name says."),
                 )
 
 
-def _sentence(text: str | None) -> str:
+def one_line(text: str | None) -> str:
+    """Return the text with each run of white space as one space."""
     return re.sub(r"\s+", " ", text or "").strip()
 
 

@@ -1,11 +1,11 @@
-"""The confusion matrix of docs/diagnosis.md: ``python -m docs.reference.naming DIR``, the study's ``--out``."""
+"""Write the study's confusion matrix into docs/reference/results.md: ``python -m docs.reference.naming DIR``."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-PAGE = Path(__file__).parents[1] / "diagnosis.md"
+PAGE = Path(__file__).with_name("results.md")
 BEGIN, END = "<!-- written by make naming -->\n", "<!-- end of what make naming writes -->"
 
 

@@ -1,4 +1,4 @@
-"""The table of docs/performance.md: ``python -m docs.reference.performance build/bench.json``."""
+"""The table of docs/reference/results.md: ``python -m docs.reference.performance build/bench.json``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from docs.reference.naming import put
 
-PAGE = Path(__file__).parents[1] / "performance.md"
+PAGE = Path(__file__).with_name("results.md")
 MARKS = "<!-- written by make performance -->\n", "<!-- end of what make performance writes -->"
 Row = Mapping[str, Any]
 

@@ -1,4 +1,4 @@
-"""The ports of docs/drivers.md, written from the Protocols, the records and the suites that hold drivers to them."""
+"""Write docs/reference/ports.md from the Protocols, the records and the suites that check drivers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from polishd.interfaces import Device
 from polishd.model import devices
 from polishd.testing.suites import actuator, device, force_sensor, loader, monitor, robot, spindle
 
-PAGE = Path(__file__).parents[1] / "drivers.md"
+PAGE = Path(__file__).with_name("ports.md")
 BEGIN, END = "<!-- Written by `make reference` from the code, down to the end of it. -->", "<!-- The end of it. -->"
 SUITES = {
     "robot": robot,
@@ -58,14 +58,14 @@ def _sections() -> Iterator[str]:
     for name, port in PORTS.items():
         title = f"`{port.protocol.__name__}`: `[{name}]`"
         yield from _port(title, port.protocol, SUITES.get(name))
-    yield "### Records\n"
+    yield "## Records\n"
     for record in (getattr(devices, name) for name in vars(devices) if inspect.isclass(getattr(devices, name))):
         if record.__module__ == devices.__name__:
             yield from _record(record)
 
 
 def _port(title: str, port: type, suite: ModuleType | None) -> Iterator[str]:
-    yield f"### {title}\n"
+    yield f"## {title}\n"
     yield f"{_code(_flat(inspect.getdoc(port) or ''))}\n"
     yield COLUMNS
     for name, member in methods(port).items():

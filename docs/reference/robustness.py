@@ -1,4 +1,4 @@
-"""The tables of docs/studies.md: ``python -m docs.reference.robustness DIR``, the study's ``--out`` so far."""
+"""Write the tables of the study of robustness: ``python -m docs.reference.robustness DIR``, its ``--out`` so far."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from docs.reference.naming import put
 from polishd.studies.result_store import Rows, read_table
 from polishd.studies.summary import MedianInterval, Summary, summarise
 
-PAGE = Path(__file__).parents[1] / "studies.md"
+PAGE = Path(__file__).with_name("results.md")
 MARKS = "<!-- written by make robustness -->\n", "<!-- end of what make robustness writes -->"
 JOBS = 2200
 """Of the whole study."""

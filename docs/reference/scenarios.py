@@ -1,4 +1,4 @@
-"""The tables of docs/scenarios.md: ``python -m docs.reference.scenarios DIR``, the study's ``--out``."""
+"""The tables of docs/reference/results.md: ``python -m docs.reference.scenarios DIR``, the study's ``--out``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from docs.reference.naming import put
 
-PAGE = Path(__file__).parents[1] / "scenarios.md"
+PAGE = Path(__file__).with_name("results.md")
 MARKS = "<!-- written by make scenarios -->\n", "<!-- end of what make scenarios writes -->"
 TODAY = "rate"
 """The loop that the others are held against."""

@@ -73,22 +73,22 @@ INTRODUCTIONS = {
 comments. Relative paths start from the file's folder. The options of `[robot]`, `[actuator]`, `[spindle]`,
 `[metrology]`, `[loader]`, `[force_sensor]`, `[monitor]` and `[notify.NAME]` depend on `type`. This page has polishd's
 own types; other plugins may add more.""",
-    "study": """This page lists the keys of a study's file; [studies.md](../studies.md) describes what studies compute.
-The keys depend on `kind`. `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of [a cell](cell.md), with
-their defaults.""",
+    "study": """This page lists the keys of a study's file; [studies.md](../how-to/studies.md) describes what they
+compute. The keys depend on `kind`. `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of
+[a cell](cell.md), with their defaults.""",
     "profile": """This page lists the keys of an instrument's profile;
 [examples/instrument.toml](../../examples/instrument.toml) shows them with comments, and
-[instruments.md](../instruments.md) describes how to prove the profile.""",
-    "device": """This page lists the keys of a profile of a drive or a sensor; [devices.md](../devices.md) describes how
-to make and try one. A profile has one of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`,
+[instruments.md](../how-to/instruments.md) describes how to prove the profile.""",
+    "device": """This page lists the keys of a profile of a drive or a sensor; [devices.md](../how-to/devices.md) says
+how to make and try one. A profile has one of `[actuator]`, `[spindle]`, `[force_sensor]`, and one of `[modbus]`,
 `[lines]`.""",
     "controller": """This page lists the keys of the profile of a robot controller that loads files
-(`[robot] type = "plc_robot"`); see [the shipped profiles](../../polishd/config/controller_profiles).
+(`[robot] type = "plc_robot"`); the shipped ones are in `polishd/config/controller_profiles`.
 [protocols/plc_robot.md](../protocols/plc_robot.md) describes each variable.""",
     "simulator": """This page lists the keys of sim.toml: what only a simulator knows of a cell.
 [examples/sim.toml](../../examples/sim.toml) shows them with comments. Every key may be left out: the value is then that
 of the file in `cell`, else the default of this page.""",
-    "shop": """This page lists the keys of the file of a shop; [shop.md](../shop.md) describes how to set one up.""",
+    "shop": """This page lists the keys of the file of a shop; [shop.md](../how-to/shop.md) says how to set one up.""",
 }
 
 

@@ -137,7 +137,7 @@ Correction = Annotated[
 
 Record = Annotated[
     Path | None,
-    Option(metavar="FILE|DIR", help="Record the devices' links, for replay (docs/recording.md)"),
+    Option(metavar="FILE|DIR", help="Record the devices' links, for replay (docs/how-to/recording.md)"),
 ]
 
 

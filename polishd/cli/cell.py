@@ -171,7 +171,7 @@ def opcua_verb(path: Path) -> None:
     config = load_config(path)
     if config.opcua is None:
         raise config.error("opcua", "is missing: OPC UA clients need this machine's identity; add [opcua]: "
-                           "docs/plant-systems.md")  # fmt: skip
+                           "docs/how-to/plant-systems.md")  # fmt: skip
     if importlib.util.find_spec("asyncua") is None:
         raise ConfigError("polishd opcua needs asyncua, which is not installed: pip install 'polishd[opcua]'")
     from polishd.opcua.server import ADDRESS, serve
@@ -192,7 +192,7 @@ def notify_verb(cell: Path, *, as_json: bool) -> None:
     config, hooks = load_cell(cell)
     notifiers = build_notifiers(config, hooks)
     if not notifiers:
-        raise config.error("notify", "there is no notifier; add a section [notify.NAME]: docs/notifications.md")
+        raise config.error("notify", "there is no notifier; add a section [notify.NAME]: docs/how-to/notifications.md")
     found = try_out(config, notifiers)
     columns = ("notifier", "type", "severity", "test", "waiting")
     rows = [

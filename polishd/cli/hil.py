@@ -107,7 +107,7 @@ def _judge(code: int) -> None:
     if code == KEPT:
         return
     if code == BROKEN:
-        raise DeviceFault("a device does not meet the requirements of its port: see above and docs/drivers.md")
+        raise DeviceFault("a device does not meet the requirements of its port: see above and docs/how-to/drivers.md")
     if code == INTERRUPTED:
         raise typer.Exit(130)
     if code == REFUSED:

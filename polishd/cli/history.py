@@ -235,7 +235,7 @@ def _notes(*, use_previous: bool, found: bool) -> Iterator[str]:
     elif not found:
         yield "there are no estimates: the next job starts with the configured rate"
     else:
-        yield "a job with the same tool, process, robot and instrument starts with them (docs/estimates.md)"
+        yield "a job with the same tool, process, robot and instrument starts with them (docs/explanation/estimates.md)"
 
 
 def _table(name: str, found: Iterable[JournalledEstimates]) -> Table:
@@ -257,7 +257,7 @@ def _row(one: JournalledEstimates) -> tuple[str, ...]:
 
 
 def _parameters(one: JournalledEstimates) -> Table:
-    """Return the table of parameters estimated by identification (docs/identification.md)."""
+    """Return the table of parameters estimated by identification (docs/explanation/identification.md)."""
     removal = one.believed["removal"]
     sigmas = [row[k] ** 0.5 for k, row in enumerate(removal["covariance"])]
     rows = [

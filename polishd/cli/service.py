@@ -113,14 +113,14 @@ class _Process:
 def _opcua(path: Path) -> str:
     config = load_config(path)
     if config.opcua is None:
-        raise config.error("opcua", "is missing: add [opcua], docs/plant-systems.md")
+        raise config.error("opcua", "is missing: add [opcua], docs/how-to/plant-systems.md")
     return config.cell.name
 
 
 def _link(path: Path) -> str:
     config = load_config(path)
     if config.shop is None:
-        raise config.error("shop", "is missing; add [shop]: docs/shop.md")
+        raise config.error("shop", "is missing; add [shop]: docs/how-to/shop.md")
     return config.cell.name
 
 
@@ -152,7 +152,7 @@ def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]
 
 
 WATCHDOG_S = 30
-"""Far longer than the delay after which the daemon leaves contact (docs/host.md)."""
+"""Far longer than the delay after which the daemon leaves contact (docs/how-to/host.md)."""
 START_S = 120
 """Time limit until every cell answers."""
 

@@ -57,7 +57,7 @@ def link_verb(path: Path) -> None:
     """Run the link until Ctrl-C or SIGTERM."""
     config, hooks = load_cell(path)
     if config.shop is None:
-        raise config.error("shop", "is missing; add [shop]: docs/shop.md")
+        raise config.error("shop", "is missing; add [shop]: docs/how-to/shop.md")
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

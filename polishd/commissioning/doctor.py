@@ -226,19 +226,19 @@ def priority_rows(granted: PriorityResult) -> Iterator[DoctorRow]:
     if granted.first:
         yield DoctorRow("priority", "ok", f"contact loop at nice {LOOP_NICE}, {found}")
     else:
-        todo = f"Set LimitNICE={LOOP_NICE} in the service, or 'nice {LOOP_NICE}' in limits.conf (docs/host.md)"
+        todo = f"Set LimitNICE={LOOP_NICE} in the service, or 'nice {LOOP_NICE}' in limits.conf (docs/how-to/host.md)"
         yield DoctorRow("priority", "warning", f"nice {LOOP_NICE} is not allowed, {found}", todo)
     if granted.locked:
         yield DoctorRow("memory", "ok", "can be locked against swapping")
     else:
-        todo = "Set LimitMEMLOCK=infinity in the service, or 'memlock unlimited' in limits.conf (docs/host.md)"
+        todo = "Set LimitMEMLOCK=infinity in the service, or 'memlock unlimited' in limits.conf (docs/how-to/host.md)"
         yield DoctorRow("memory", "warning", "may be swapped out", todo)
 
 
 def systemd_rows(root: Path, uid: int, user: str) -> Iterator[DoctorRow]:
     """Yield the rows of the system's systemd and of the user's."""
     if not (root / "run/systemd/system").is_dir():
-        todo = "Run the daemon under another supervisor, such as a container with a restart policy (docs/host.md)"
+        todo = "Run the daemon under another supervisor, such as a container that restarts it (docs/how-to/host.md)"
         yield DoctorRow("systemd", "warning", "does not run on this computer", todo)
         return
     yield DoctorRow("systemd", "ok", "runs; polishd service install CELL.toml --system (as root)")

@@ -105,7 +105,7 @@ class RobotSection(DeviceSection):
 
 
 class ForceSensorSection(DeviceSection):
-    """A force sensor independent of the actuator: both must report the same force (docs/monitors.md).
+    """A force sensor independent of the actuator: both must report the same force (docs/how-to/monitors.md).
 
     `type` defines the other keys.
     """
@@ -318,7 +318,7 @@ class JobSection(ConfigSection):
 
 
 class MemorySection(ConfigSection):
-    """Estimates that a job takes over from earlier jobs (docs/estimates.md)."""
+    """Estimates that a job takes over from earlier jobs (docs/explanation/estimates.md)."""
 
     use_previous: bool = True
     """Start a job with the estimates of the last pass with the same tool, process, robot and instrument."""
@@ -327,7 +327,7 @@ class MemorySection(ConfigSection):
 
 
 class CertificateSection(ConfigSection):
-    """Issuer of the certificates of this cell's parts (docs/certificate.md)."""
+    """Issuer of the certificates of this cell's parts (docs/how-to/certificate.md)."""
 
     shop: str = ""
     """The shop's name on a certificate."""
@@ -482,7 +482,7 @@ class InContactSection(BoundsSection):
 
 
 class SignalSection(ConfigSection):
-    """A monitored signal of the cell: slurry flow, a pressure, a guard (docs/monitors.md)."""
+    """A monitored signal of the cell: slurry flow, a pressure, a guard (docs/how-to/monitors.md)."""
 
     monitor: Name | None = None
     """The monitor that reads it, if there are several: `plc` of `[monitor.plc]`."""

@@ -1,4 +1,4 @@
-"""Device profiles: the protocol of a drive or a sensor as data (docs/devices.md)."""
+"""Device profiles: the protocol of a drive or a sensor as data (docs/how-to/devices.md)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def factor(unit: str, pole_pairs: int) -> float:
     return FACTORS[unit] / (pole_pairs if unit in FREQUENCY else 1)
 
 
-# The tables of a device profile: one frozen model each. docs/devices.md describes them.
+# The tables of a device profile: one frozen model each. docs/how-to/devices.md describes them.
 
 _ACTUATOR, _SPINDLE, _SENSOR = ActuatorTimes(), SpindleTimes(), SensorTimes()
 

@@ -30,7 +30,7 @@ from polishd.model.instrument import CommissioningRecord, Instrument, RegisterBy
 from polishd.process.metrology.commissioning import ArtefactBump
 from polishd.util.files import write_atomic
 
-# The tables of an instrument's profile: one frozen model each. docs/instruments.md describes them.
+# The tables of an instrument's profile: one frozen model each. docs/how-to/instruments.md describes them.
 
 _PLAIN = Instrument("")
 Places = Annotated[tuple[Pair, ...], BeforeValidator(as_tuple)]

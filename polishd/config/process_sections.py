@@ -63,7 +63,7 @@ CM2_PER_N = {"cm2/N": 1.0, "mm2/N": 1e-2, "m2/N": 1e4, "1/Pa": 1e4, "1/kPa": 10.
 
 
 class HybridSection(ConfigSection):
-    """The paper's 3UPS-UP with a C/A wrist. The defaults are fitted to the ranges in the paper (docs/robot.md)."""
+    """The paper's 3UPS-UP with a C/A wrist. Defaults are a fit to the paper's ranges (docs/explanation/robot.md)."""
 
     type: Literal["hybrid"] = "hybrid"
     base_radius_mm: Positive = _ROBOT.base_radius_mm
@@ -161,7 +161,7 @@ KinematicsSection = Annotated[
 
 
 class ComplianceSection(ConfigSection):
-    """Evaluation of the robot's compliance (docs/robot.md)."""
+    """Evaluation of the robot's compliance (docs/explanation/robot.md)."""
 
     projection: Projection = SHIPPED_OPTIONS.projection
     """Projection of the compliance matrix to one number: the sum of each eigenvalue times the component of b along its
@@ -234,8 +234,8 @@ class ProcessSection(ContactKeys):
     """Name of the removal model of a plugin: `hertz_preston` computes a spot, `measured_tif` uses `tif`."""
     estimates: Text = "rate"
     """Quantities estimated from a pass. `rate`: the removal rate, or all parameters of a removal model with an
-    estimator; `machine`: with polishd's models all parameters of identification (docs/identification.md): its field
-    over the part, the spot's position and width, compliance, seat."""
+    estimator; `machine`: with polishd's models all parameters of identification
+    (docs/explanation/identification.md): its field over the part, the spot's position and width, compliance, seat."""
     correction: Correction = "exact"
     """Correction of the dwell for the robot's compliance: none, point by point after the solution, by gamma (eq. 49),
     by gamma to the power `depth_exponent`, or by the spot at the depth of each point."""
@@ -350,7 +350,7 @@ class PartDocument(ProcessDocument):
 
 
 class ToolSection(ConfigSection):
-    """A tool, `[tools.NAME]`. The tools polish one part in the order of the file (docs/tools.md).
+    """A tool, `[tools.NAME]`. The tools polish one part in the order of the file (docs/how-to/tools.md).
 
     Keys that are left out have the values of `[process]`, `[kinematics]` and `[touch_off]`.
     """

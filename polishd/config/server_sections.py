@@ -1,4 +1,4 @@
-"""Sections of servers: the web page and HTTP API (docs/web.md), OPC UA, and the shop."""
+"""Sections of servers: the web page and HTTP API (docs/how-to/web.md), OPC UA, and the shop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from polishd.config.process_sections import PartDocument
 from polishd.config.toml_loader import TomlDocument, load_toml
 from polishd.util.files import SecretPlace
 
-# ``[opcua]``: identification of a cell to plant systems over OPC UA (docs/plant-systems.md).
+# ``[opcua]``: identification of a cell to plant systems over OPC UA (docs/how-to/plant-systems.md).
 
 
 class OpcUaSection(ConfigSection):
@@ -34,7 +34,7 @@ class OpcUaSection(ConfigSection):
     """The machine's location."""
 
 
-# ``[shop]`` of a cell's file: the shop that the cell belongs to (docs/shop.md).
+# ``[shop]`` of a cell's file: the shop that the cell belongs to (docs/how-to/shop.md).
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
@@ -106,7 +106,7 @@ class CellWebSection(WebSection):
     """Address of the cell's page and HTTP API, `polishd web`. Left out: for this computer only."""
 
     metrics: bool = False
-    """Answer `GET /metrics` with figures for Prometheus, to users with a token (docs/plant-systems.md). Needs
+    """Answer `GET /metrics` with figures for Prometheus, to users with a token (docs/how-to/plant-systems.md). Needs
     polishd[metrics]."""
 
 
@@ -118,7 +118,7 @@ class ServedDocument(PartDocument):
     opcua: OpcUaSection | None = None
 
 
-# A shop's file (docs/shop.md).
+# A shop's file (docs/how-to/shop.md).
 
 
 class ShopSection(ConfigSection):

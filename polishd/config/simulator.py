@@ -68,7 +68,7 @@ KNOWS |= {"force_n": ("spike", "press"), "factor": ("lie",), "offset_n": ("lie",
 
 
 class FaultSection(ConfigSection):
-    """Something that goes wrong; docs/faults.md has examples. Several act together, in the order of the file."""
+    """Simulated fault (examples: docs/reference/faults.md). Several act together, in the order of the file."""
 
     device: Literal["robot", "actuator", "spindle", "loader", "force_sensor", "monitor"]
     """Which of them has it."""

@@ -1,4 +1,4 @@
-"""The drawing's tolerances: each ``[[tolerance]]`` becomes the lines that a surface must meet (docs/tolerance.md)."""
+"""Tolerances: each ``[[tolerance]]`` gives the lines that a surface must meet (docs/reference/tolerance.md)."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def _lie(config: CellConfig, recipe: Recipe, removal_nm: float) -> str:
         f"an actuator that presses {pressed_n[0]:g} N and reads {process.force_n:g} N removes {more[0]:.0%} more, "
         f"{more[0] * removal_nm:.1f} nm at the worst place of the program as it is; one that presses "
         f"{pressed_n[1]:g} N removes {more[1] * removal_nm:.1f} nm more, and only the next map shows it. "
-        "Recommended: an independent [force_sensor] (docs/monitors.md)"
+        "Recommended: an independent [force_sensor] (docs/how-to/monitors.md)"
     )
 
 

@@ -2,7 +2,7 @@
 
 The limits follow from the devices' watchdogs and from the data that the present pass still has to write; none is a
 config key. A figure beyond its limit makes a polishing daemon leave contact and hold, before it is too late
-(docs/host.md).
+(docs/how-to/host.md).
 """
 
 from __future__ import annotations

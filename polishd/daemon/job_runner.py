@@ -3,7 +3,7 @@
 The table in ``state_machine`` defines its states. The single job of the cell's file is a queue of one.
 Hold, stop, SIGTERM and every error leave contact in the same order (``safety.make_safe``). After an interruption
 nothing moves until ``resume``. An error that an operator can mend holds the cell, any other one ends the daemon
-(docs/cycle.md). Commands are taken in the order of arrival; a command ends the work that it interrupts.
+(docs/explanation/cycle.md). Commands are taken in the order of arrival; a command ends the work that it interrupts.
 """
 
 from __future__ import annotations
@@ -398,7 +398,7 @@ class JobRunner:
     async def _changed_by_person(self, job: str, part: str) -> StateResult:
         if not self._holds:
             raise DeviceRefused(
-                f"an operator has to put part {part!r} in, but --no-hold waits for none; see docs/queue.md"
+                f"an operator has to put part {part!r} in, but --no-hold waits for none; see docs/how-to/queue.md"
             )
         self._part_in = ""
         standing = self._standing(DaemonState.CHANGING, "").standing

@@ -1,4 +1,4 @@
-"""States of the daemon of a cell and all transitions between them. docs/cycle.md shows this table."""
+"""States of the daemon of a cell and all transitions between them. docs/reference/daemon.md shows this table."""
 
 from __future__ import annotations
 

@@ -63,7 +63,9 @@ def prove_profile(
     """Prove a profile by a map of its artefact, and write the record into its file; arguments as in the verb."""
     given = load_profile(profile)
     if not given.bumps:
-        raise ConfigError(f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/instruments.md)")
+        raise ConfigError(
+            f"{profile}: [artefact] is missing; describe the artefact's bumps (docs/how-to/instruments.md)"
+        )
     seen = MapSource.of(cell, profile, None, masks, partly=False, system=False).read(surface)
     try:
         proof = prove(seen, given.bumps)

@@ -1,38 +1,38 @@
 """The error tree. Each class is named by what happens next, and carries the exit code of the command line.
 
-Those marked * leave the daemon held where no pass was under way: a person mends the cause, and it goes on
-(docs/cycle.md). All others end it.
+Those marked * hold the daemon if no pass was under way: the operator corrects the cause, and it continues
+(docs/reference/errors.md). All others end it::
 
-PolishdError
-  ConfigError      nothing was opened: mend the file                    (3)
-    JournalDamage  the journal of a cell is damaged: its daemon comes up held
-    TokenRefused   a shop does not take the token of a cell: write another one
-  PluginError      nothing was opened: mend or drop the plugin          (3)
-  ProgramError     nothing was written: mend the RNC program            (9)
-  PlanRefused      nothing moved: the plan is not safe                  (4)
-  SurfaceError *   ask for another map                                  (8)
-    StaleMap       it was measured before the last pass ended
-    BadMap         it cannot be read, or not be trusted
-    WrongPart      it shows another part
-    PartNotSettled     no two in a row agree within the instrument's noise
-  GateStop *       a pass did not do what its plan said: mend why       (10)
-  ToolStop *       the tool is no longer what plans count with: see to it (10)
-  ComputeError     fall back, or stop before RUN                        (10)
-  DeviceError *    a device is the cause                                (5)
-    LinkError      the wire is dead or silent
-      NoDaemon     no daemon runs for this cell: start one
-    ProtocolError  the wire speaks, but not what was agreed
-    DeviceRefused  the device understood and said no
-      DeviceBusy   it serves another client: a start waits for its watchdog
-        DeviceClaimed  another program on this computer has it: stop that one
-    DeviceFault    the device says that it is broken
-    HostFault      the cell's own computer nears a limit
-    SignalFault    a signal of the cell is not as it must be
-  SafetyStop       the cell left contact without a command              (7)
-    ForcesApart    actuator and force sensor differ
-  HandlingError *  the operator must attend to part or pad, then go on  (11)
-    WrongSeat      the part does not sit where it should
-      SeatNotLeft  nor could the robot leave the place where it was looked for
+    PolishdError
+      ConfigError         nothing was opened: correct the file                        (3)
+        JournalDamage     the journal of a cell is damaged: its daemon comes up held
+        TokenRefused      a shop refuses the token of a cell: write another one
+      PluginError         nothing was opened: correct or remove the plugin            (3)
+      ProgramError        nothing was written: correct the program                    (9)
+      PlanRefused         nothing moved: the plan is not safe                         (4)
+      SurfaceError *      measure again                                               (8)
+        StaleMap          measured before the last pass ended
+        MapError          not readable, or not valid
+        WrongPart         it shows another part
+        PartNotSettled    no two maps in a row agree within the instrument's noise
+      RemovalCheckStop *  a pass did not do what its plan predicted                   (10)
+      ToolStop *          the tool is not what plans assume                           (10)
+      ComputeError        fall back, or stop before the run                           (10)
+      DeviceError *       a device is the cause                                       (5)
+        LinkError         the link is dead or silent
+          NoDaemon        no daemon runs for this cell
+        ProtocolError     the device answers, against its protocol
+        DeviceRefused     the device refused the command
+          DeviceBusy      it serves another client: a start waits for its watchdog
+            DeviceClaimed another program on this computer uses it: stop that one
+        DeviceFault       the device reports a fault
+        HostFault         the cell's computer is near a limit
+        SignalFault       a signal of the cell is out of range
+      SafetyStop          the cell left contact without a command                     (7)
+        ForcesApart       actuator and force sensor differ
+      HandlingError *     the operator must attend to part or pad                     (11)
+        WrongSeat         the part is not seated correctly
+          SeatNotLeft     the robot could not leave the touch-off position
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ UNTAUGHT = Estimates()
 
 @dataclass(frozen=True, slots=True)
 class MachineEstimates(Estimates):
-    """Estimated parameters of a machine (docs/identification.md); 0 is the configured value."""
+    """Estimated parameters of a machine (docs/explanation/identification.md); 0 is the configured value."""
 
     applied: Mapping[str, float] = field(default_factory=dict)
     """Parameters that plans use besides the rate; a missing one counts as 0."""

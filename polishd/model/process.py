@@ -46,7 +46,7 @@ class ComplianceOptions:
     """Reduction of the robot's compliance matrix to one number a point (paper eq. 34-43)."""
 
     projection: Projection = "linear"
-    """``linear`` sums lambda_k |<X_k, b>| (eq. 43), ``quadratic`` its squares, ``normal`` is b' C b."""
+    """``linear`` sums ``lambda_k |<X_k, b>|`` (eq. 43), ``quadratic`` its squares, ``normal`` is ``b' C b``."""
     frame: NormalFrame = "surface"
     """The normal b: the nominal optic's, the path's binormal (eq. 34-38), or the tool axis turned back by the dip."""
     moment: Moment = "full"

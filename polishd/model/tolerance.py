@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, Self
 
 Figure = Literal["rms", "pv", "slope_rms", "slope_max", "psd", "A", "B", "C", "RMSt", "RMSi", "RMSa"]
-"""The last six are those of ISO 10110-5; what each is: docs/tolerance.md."""
+"""The last six are those of ISO 10110-5; what each is: docs/reference/tolerance.md."""
 
 WORDS = {"rms": "RMS", "pv": "PV", "slope_rms": "slope RMS", "slope_max": "slope"}
 NORMS = frozenset({"rms", "RMSt", "RMSi", "RMSa"})

@@ -283,7 +283,7 @@ LOOK_S = 1.0
 ANSWER_S = 0.8
 """Time without an answer after which the daemon counts as silent."""
 ADDRESS = "127.0.0.1"
-"""OPC UA needs certificates on both sides beyond this computer, which polishd does not have: docs/plant-systems.md."""
+"""OPC UA beyond this computer needs certificates on both sides, which polishd lacks: docs/how-to/plant-systems.md."""
 
 
 class ReadOnlyUsers(UserManager):

@@ -1,4 +1,4 @@
-"""Acceptance of a part by its measured figure, or by the bound of its true error (docs/tolerance.md)."""
+"""Acceptance of a part by its measured figure, or by the bound of its true error (docs/reference/tolerance.md)."""
 
 from __future__ import annotations
 

@@ -80,7 +80,9 @@ def system_of_profile(
 def uncommissioned_reason(config: CellConfig) -> str:
     """Reason why maps must not drive polishing in this cell; empty where they may."""
     if config.profile_path is None:
-        problem = "the cell names no instrument's profile; write one (docs/instruments.md), commission it, name it here"
+        problem = (
+            "the cell names no instrument profile; write one (docs/how-to/instruments.md), commission it, name it here"
+        )
         return str(config.error("instrument.profile", problem))
     return load_profile(config.profile_path).unproved
 

@@ -1,6 +1,6 @@
 """Records of the steps of a cycle: one schema for the journal, its store, the run folder, and their readers.
 
-A record has ``files`` for people (docs/run-folder.md). A record that a later run of the daemon needs has ``facts``,
+Records have ``files`` for people (docs/reference/run-folder.md). One that a later run needs has ``facts``,
 which the journal's rows hold as JSON, and is loaded from them and from the arrays of its ``.npz``.
 """
 
@@ -168,7 +168,7 @@ class MeasureResult:
         }
 
     def files(self) -> dict[str, bytes]:
-        """By name: see docs/run-folder.md."""
+        """By name: see docs/reference/run-folder.md."""
         return {"surface.npz": npz(self.arrays()), "registration.json": as_json(self.registration)}
 
     @classmethod
@@ -394,7 +394,7 @@ class PlanResult:
         return {"time_s": self.time_s, **self.state}
 
     def files(self) -> dict[str, bytes]:
-        """By name: see docs/run-folder.md. A block is the line before the one of its number."""
+        """By name: see docs/reference/run-folder.md. A block is the line before the one of its number."""
         columns = {
             "point": np.arange(self.block.size),
             "line": self.block + 1,

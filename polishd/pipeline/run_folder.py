@@ -15,7 +15,7 @@ from polishd.util.files import write_atomic
 
 
 class RunFolder:
-    """Files of one job; each is written completely. Layout: docs/run-folder.md."""
+    """Files of one job; each is written completely. Layout: docs/reference/run-folder.md."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -1,4 +1,4 @@
-"""The notifier types ``email``, ``webhook`` and ``command`` (docs/notifications.md)."""
+"""The notifier types ``email``, ``webhook`` and ``command`` (docs/how-to/notifications.md)."""
 
 from __future__ import annotations
 

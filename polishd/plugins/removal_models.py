@@ -223,7 +223,7 @@ BELIEVED = "believed"
 def learn_machine(
     request: RemovalRequest, evidence: PassEvidence, spot_of: Callable[[RemovalRequest], tuple[Spot, float]]
 ) -> EstimateUpdate:
-    """Identify the machine from a pass (docs/identification.md); only the rate where that does not converge."""
+    """Identify the machine from a pass (docs/explanation/identification.md); only the rate if it does not converge."""
     beliefs = request.beliefs
     if not isinstance(beliefs, MachineEstimates):
         raise ComputeError(f"identification needs estimates of type MachineEstimates, not {type(beliefs).__name__}")

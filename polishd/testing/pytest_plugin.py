@@ -35,7 +35,7 @@ pytest.register_assert_rewrite(SUITES)
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of ``polishd hil``."""
-    group = parser.getgroup("polishd", "polishd: a real cell under the suites (docs/hil.md)")
+    group = parser.getgroup("polishd", "polishd: a real cell under the suites (docs/how-to/hil.md)")
     group.addoption("--cell", type=Path, metavar="CELL.toml", help="cell whose devices are tested")
     group.addoption("--hil-level", choices=LEVELS, default="identify", help="level: %(choices)s (%(default)s)")
     group.addoption("--hil-max-force", type=float, metavar="N", help="force limit, required from contact on")

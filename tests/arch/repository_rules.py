@@ -69,9 +69,9 @@ def _text(path: Path) -> str:
 
 def hooks_are_documented(root: Path) -> list[str]:
     """Every hook is in the plugin guide."""
-    guide = root / "docs" / "plugins.md"
+    guide = root / "docs" / "how-to" / "plugins.md"
     text = guide.read_text() if guide.exists() else ""
-    return [f"docs/plugins.md: {hook} is not mentioned" for hook in _hooks(root) if hook not in text]
+    return [f"docs/how-to/plugins.md: {hook} is not mentioned" for hook in _hooks(root) if hook not in text]
 
 
 def hooks_are_tested(root: Path) -> list[str]:

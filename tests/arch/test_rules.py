@@ -43,7 +43,12 @@ CASES: list[tuple[Rule, str, str, str]] = [
         '"""M."""\ndef f():\n    """F."""\n    def g(): ...\n',
     ),
     (code.unique_classes, "polishd/a.py", "class A: ...\nclass A: ...\n", "class A: ...\nclass B: ...\n"),
-    (code.one_sentence_packages, "polishd/a/__init__.py", '"""One. Two."""\n', '"""Drivers (docs/drivers.md)."""\n'),
+    (
+        code.one_sentence_packages,
+        "polishd/a/__init__.py",
+        '"""One. Two."""\n',
+        '"""Drivers (docs/how-to/drivers.md)."""\n',
+    ),
     (code.exceptions_at_home, "polishd/a.py", "class A(ValueError): ...\n", "class A(dict): ...\n"),
     (code.exceptions_at_home, "polishd/a.py", "class A(errors.LinkError): ...\n", "class A(errors.Link): ...\n"),
     (code.pure_process, "polishd/process/a.py", "import asyncio\n", "import numpy\n"),
@@ -214,11 +219,11 @@ HOOKS = {"polishd/hookspecs.py": "def polishd_tea(): ...\ndef polishd_on_tea(): 
 
 
 def test_hooks_must_be_in_the_guide(tmp_path: Path) -> None:
-    guide = {"docs/plugins.md": "- `polishd_tea`: makes tea\n"}
+    guide = {"docs/how-to/plugins.md": "- `polishd_tea`: makes tea\n"}
     assert len(repository.hooks_are_documented(grow(tmp_path / "none", HOOKS))) == 2
     broken = repository.hooks_are_documented(grow(tmp_path / "one", {**HOOKS, **guide}))
-    assert broken == ["docs/plugins.md: polishd_on_tea is not mentioned"]
-    guide["docs/plugins.md"] += "- `polishd_on_tea`: hears of it\n"
+    assert broken == ["docs/how-to/plugins.md: polishd_on_tea is not mentioned"]
+    guide["docs/how-to/plugins.md"] += "- `polishd_on_tea`: hears of it\n"
     assert not repository.hooks_are_documented(grow(tmp_path / "both", {**HOOKS, **guide}))
 
 

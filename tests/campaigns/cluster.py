@@ -24,7 +24,7 @@ from tests.unit.studies.dask_rig import Cluster
 
 STUDY = ROOT / "examples" / "robustness.toml"
 POOL, OURS = ROOT / "build" / "robustness", ROOT / "build" / "robustness-dask"
-PAGE = ROOT / "docs" / "studies.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make robustness-dask -->\n", "<!-- end of what make robustness-dask writes -->\n"
 WORKERS, JOBS = 2, 2200
 TIMES = ("wall_s", "cpu_s")

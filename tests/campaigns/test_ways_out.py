@@ -1,4 +1,4 @@
-"""Every way out of contact against lifts that take 0.5, 4 and 10 s; the table in docs/cycle.md (`make ways-out`)."""
+"""Every way out of contact against lifts that take 0.5, 4 and 10 s; table in docs/reference/results.md."""
 
 from __future__ import annotations
 

@@ -270,11 +270,11 @@ HEADER = """\
 |---|---|---|---|---|---|
 """
 BEGIN, END = "<!-- written by make ways-out -->\n", "<!-- end of what make ways-out writes -->"
-PAGE = Path(__file__).parents[2] / "docs" / "cycle.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "results.md"
 
 
 def table(costs: Sequence[Mapping[str, Any]]) -> str:
-    """A row a case, for docs/cycle.md."""
+    """A row a case, for docs/reference/results.md."""
     rows = []
     for cost in costs:
         order = ", ".join(f"{what} {at_s:.1f}" for at_s, what in cost["order"])
@@ -290,7 +290,7 @@ def rows_of(page: str) -> list[list[str]]:
 
 
 def write_page(folder: Path) -> None:
-    """Put the table of what was saved into docs/cycle.md."""
+    """Put the table of what was saved into docs/reference/results.md."""
     before, _, rest = PAGE.read_text().partition(BEGIN)
     after = rest.partition(END)[2]
     PAGE.write_text(before + BEGIN + table(load(folder)) + END + after)

@@ -1,4 +1,4 @@
-"""``python -m tests.interop``: all peers that are installed, and their table in docs/interop.md."""
+"""``python -m tests.interop``: all peers that are installed, and their table in docs/reference/interop.md."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.interop.page import Tried, page, told
 from tests.interop.peers import ROOT, Peer
 
-PAGE = ROOT / "docs" / "interop.md"
+PAGE = ROOT / "docs" / "reference" / "interop.md"
 
 
 class Outcomes:

@@ -1,4 +1,4 @@
-"""docs/interop.md: which peers, which versions, what was tried with them, and what came of it."""
+"""docs/reference/interop.md: which peers, which versions, what was tried with them, and what came of it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """One cycle on five controllers, each with the time that it takes beyond what is written: what came of it.
 
-``python -m tests.system.five_controllers`` puts what the tests saved into docs/robot.md.
+``python -m tests.system.five_controllers`` puts what the tests saved into docs/explanation/robot.md.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def figures(files: DemoFiles, controller: Controller, true_s: Sequence[np.ndarra
 
 
 SAVED = Path("build/five-controllers")
-PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "results.md"
 BEGIN = "<!-- written by python -m tests.system.five_controllers -->\n"
 END = "<!-- end of what it writes -->"
 HEADER = """\
@@ -212,7 +212,7 @@ def rows_of(page: str) -> list[list[str]]:
 
 
 def write_page() -> None:
-    """Put the table of what was saved into docs/robot.md."""
+    """Put the table of what was saved into docs/explanation/robot.md."""
     before, _, rest = PAGE.read_text().partition(BEGIN)
     after = rest.partition(END)[2]
     rows = [json.loads(path.read_text()) for path in SAVED.glob("*.json")]

@@ -1,4 +1,4 @@
-"""One cycle on five controllers, each with delays of its own; the table in docs/robot.md.
+"""One cycle on five controllers, each with delays of its own; the table in docs/explanation/robot.md.
 
 After all of them, ``python -m tests.system.five_controllers`` writes the table.
 """
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.system
 
 PREDICTED, ACCOUNTED, AS_GOOD = 0.01, 1e-3, 0.1
 AS_CERTIFIED = 3.0
-"""Times what the certificate says: a robot link that waits nowhere leaves 2.2 to 2.9 times as much (docs/robot.md)."""
+"""Times what the certificate says: a robot link that waits nowhere leaves 2.2 to 2.9 times as much (results.md)."""
 SLOW = ("linuxcnc",)
 """It knows real time only."""
 

@@ -16,7 +16,7 @@ from polishd import analysis
 from polishd.model.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "researcher.md").read_text()
+PAGE = (ROOT / "docs" / "how-to" / "researcher.md").read_text()
 EXAMPLES = re.findall(r"## ([^\n]+)\n(?:(?!## ).)*?```python\n(.*?)```", PAGE, re.DOTALL)
 QUICK = ("Maps", "Spots", "Robots", "Dwell")
 
@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def runs(code: str, capsys: pytest.CaptureFixture[str]) -> None:
-    exec(compile(code, "docs/researcher.md", "exec"), {})  # it is our own page
+    exec(compile(code, "docs/how-to/researcher.md", "exec"), {})  # it is our own page
     printed = capsys.readouterr().out.strip()
     assert printed
     assert "nan" not in re.findall(r"[a-z]+", printed.lower())

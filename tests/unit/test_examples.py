@@ -28,14 +28,16 @@ ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```(?:python|py|python3|pycon)\b[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 NO_NUMBER = re.compile(r"(?<![\w.])[+-]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
 
-HERE = ("README.md", "docs/dwell.md", "docs/recording.md", "docs/studies.md")
+HERE = ("docs/tutorials/plugin.md", "docs/how-to/dwell.md", "docs/how-to/recording.md", "docs/how-to/studies.md")
 """Pages whose examples this module runs."""
 ELSEWHERE = {
-    "docs/certificate.md": "tests/unit/reports/certificate/test_issue.py",
-    "docs/drivers.md": "tests/unit/testing/test_drivers_page.py",
-    "docs/plugins.md": "tests/unit/test_plugin_docs.py",
-    "docs/recipe.md": "tests/unit/pipeline/test_docs.py",
-    "docs/researcher.md": "tests/unit/test_analysis.py",
+    "docs/how-to/certificate.md": "tests/unit/reports/certificate/test_issue.py",
+    "docs/how-to/drivers.md": "tests/unit/testing/test_drivers_page.py",
+    "docs/how-to/plugins.md": "tests/unit/test_plugin_docs.py",
+    "docs/how-to/recipe.md": "tests/unit/pipeline/test_docs.py",
+    "docs/tutorials/first-plan.md": "tests/system/test_tutorials.py",
+    "docs/tutorials/rehearsed-cell.md": "tests/system/test_tutorials.py",
+    "docs/how-to/researcher.md": "tests/unit/test_analysis.py",
 }
 """Pages whose examples need what another test has: that test, which reads the page."""
 NOT_RUN: dict[str, str] = {}
@@ -129,8 +131,8 @@ def _used(code: str) -> Iterator[str]:
 # those of pages without a test of their own
 
 
-def test_the_plugin_of_the_readme(install: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    (one,) = EXAMPLES["README.md"]
+def test_the_plugin_of_the_tutorial(install: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    (one,) = EXAMPLES["docs/tutorials/plugin.md"]
     hooks = load_plugins([install("weekend", one.code, api=None)])
     hooks.report.require()
     (plugin,) = hooks.report.loaded
@@ -144,7 +146,7 @@ def test_the_plugin_of_the_readme(install: Any, capsys: pytest.CaptureFixture[st
 
 
 def test_the_dwells_of_arrays(examples_folder: None, capsys: pytest.CaptureFixture[str]) -> None:
-    first, curve, spread, tools = EXAMPLES["docs/dwell.md"]
+    first, curve, spread, tools = EXAMPLES["docs/how-to/dwell.md"]
     names: dict[str, Any] = {}
     for one in (first, curve, tools):
         one.run(names)
@@ -159,8 +161,8 @@ def test_the_dwells_of_arrays(examples_folder: None, capsys: pytest.CaptureFixtu
 
 
 async def test_a_recording_of_a_driver_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """``line_tool`` is the driver of docs/drivers.md; a tool whose watchdog has lifted it is recorded."""
-    driver = next(one for one in EXAMPLES["docs/drivers.md"] if "# line_tool.py" in one.code)
+    """``line_tool`` is the driver of docs/how-to/drivers.md; a tool whose watchdog has lifted it is recorded."""
+    driver = next(one for one in EXAMPLES["docs/how-to/drivers.md"] if "# line_tool.py" in one.code)
     (tmp_path / "line_tool.py").write_text(driver.code)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
@@ -168,7 +170,7 @@ async def test_a_recording_of_a_driver_of_ones_own(tmp_path: Path, monkeypatch: 
     said: list[tuple[Way, bytes]] = [("open", b""), *asked, *asked, ("end", b"")]
     record(tmp_path, [WireMessage(at * 0.1, "actuator", "tcp://h:1", way, data) for at, (way, data) in enumerate(said)])
     names: dict[str, Any] = {}
-    EXAMPLES["docs/recording.md"][0].run(names)
+    EXAMPLES["docs/how-to/recording.md"][0].run(names)
     await names["test_the_case_of_monday"](tmp_path)
 
 
@@ -178,7 +180,7 @@ async def test_a_recording_of_a_controller_that_loads_files(tmp_path: Path, monk
     await _opened(fake, heard)
     record(tmp_path, heard)
     names: dict[str, Any] = {}
-    EXAMPLES["docs/recording.md"][1].run(names)
+    EXAMPLES["docs/how-to/recording.md"][1].run(names)
     await names["test_the_case_of_tuesday"]()
 
 
@@ -209,7 +211,7 @@ def test_the_table_of_a_study(
         rows = () if error else ({"accepted": accepted, "true_rms_end_nm": rms_nm},)
         kept.add(FinishedCase(case, CaseResult(case.number, rows, error, 2.0, 1.0), 1))
     kept.merge(cases, "text")
-    (one,) = EXAMPLES["docs/studies.md"]
+    (one,) = EXAMPLES["docs/how-to/studies.md"]
     one.run({})
     (group,) = ast.literal_eval(capsys.readouterr().out)
     assert group == {

@@ -1,4 +1,4 @@
-"""docs/plugins.md: each example is accepted by the real loader, and each hook has one."""
+"""docs/how-to/plugins.md: each example is accepted by the real loader, and each hook has one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from polishd.daemon.cell.device_polling import missing_members
 from polishd.hookspecs import DeviceContext
 from polishd.plugin_loader import DECLARATIONS, HOOKS, load_plugins
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "plugins.md").read_text()
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "plugins.md").read_text()
 SECTIONS = dict(re.findall(r"^### `(polishd_\w+)\((.*?)(?=^### |\Z)", TEXT, re.DOTALL | re.MULTILINE))
 EXAMPLES = {
     name: re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE) for name, text in SECTIONS.items()

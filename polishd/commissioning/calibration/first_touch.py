@@ -52,7 +52,7 @@ SPOTS = MappingProxyType({"hertz_preston": modelled_spot_of, "measured_tif": mea
 NOISE_NM = 0.5
 """Of a map where the instrument's profile does not say."""
 MODEL = 0.002
-"""Of the removal (docs/identification.md)."""
+"""Of the removal (docs/explanation/identification.md)."""
 LENGTH = 4.0
 """Of a track, in radii of the contact."""
 APART = 1.0

@@ -106,7 +106,9 @@ def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[li
 def _profile(config: CellConfig) -> InstrumentProfile:
     """Require a commissioned profile: without it the orientation of its maps is unknown."""
     if config.profile_path is None:
-        raise config.error("instrument.profile", "is missing: write one (docs/instruments.md), and commission it first")
+        raise config.error(
+            "instrument.profile", "is missing: write one (docs/how-to/instruments.md), and commission it first"
+        )
     profile = load_profile(config.profile_path)
     if profile.unproved:
         raise ConfigError(profile.unproved)

@@ -87,7 +87,7 @@ class ArmKeys(ConfigSection):
         if name is not None and name not in ARMS:
             raise ValueError(
                 f"there is no arm {name!r}{did_you_mean(name, ARMS)} There are: {join_words(ARMS)}; of any other write "
-                'type = "serial" and its rows (docs/quickstart.md)'
+                'type = "serial" and its rows (docs/tutorials/rehearsed-cell.md)'
             )
         return name
 

@@ -111,7 +111,7 @@ def _first_map(folder: Path, files: Iterable[Path], readers: Collection[SurfaceR
 # The start of an instrument's profile and of the part, from one map.
 
 TEMPLATE = """\
-# The profile of an instrument: docs/instruments.md. All keys: docs/reference/profile.md
+# The profile of an instrument: docs/how-to/instruments.md. All keys: docs/reference/profile.md
 # A changed value makes the record of `polishd map commission` void.
 name = {name}
 {says}

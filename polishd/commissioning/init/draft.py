@@ -46,7 +46,8 @@ NOT_MEASURED = "not the arm's: as if nearly rigid; polishd calibrate stiffness f
 DATA_SHEET = "from the machine's data sheet, on the safe side"
 PAPER = "the paper's; your tool's is another"
 UNMEASURED = (
-    "without loading tests and a measured rate a correction costs more than it brings (docs/correction.md). Next: the "
+    "without loading tests and a measured rate a correction costs more than it brings "
+    "(docs/explanation/correction.md). Next: the "
     "rate of a witness spot, polishd calibrate tif"
 )
 ASSUMED: Mapping[str, tuple[Any, str]] = {

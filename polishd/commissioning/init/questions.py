@@ -240,7 +240,7 @@ def _problem(given: Mapping[str, Any], question: Question, value: Any, folder: P
 
 def answers_text(given: Mapping[str, Any]) -> str:
     """As a file of answers."""
-    lines = ["# Answers of polishd init; the same again: polishd init DIR --from this file (docs/quickstart.md)"]
+    lines = ["# Answers of polishd init; repeat: polishd init DIR --from this file (docs/how-to/new-cell.md)"]
     for name, section in given.items():
         if name.startswith("?") or not section:
             continue

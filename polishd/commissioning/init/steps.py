@@ -90,7 +90,7 @@ def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
 
 def _commission(config: CellConfig, folder: Path) -> SetupStep:
     if config.profile_path is None or config.instrument.profile is None:
-        return SetupStep("commission", False, "the cell names no instrument's profile", "docs/instruments.md")
+        return SetupStep("commission", False, "the cell names no instrument's profile", "docs/how-to/instruments.md")
     command = f"polishd map commission {_quoted(folder / config.instrument.profile)} {MAP}"
     try:
         profile = load_profile(config.profile_path)

@@ -1,4 +1,4 @@
-"""Process of the daemon: priorities (the contact loop before the solver, docs/host.md), supervisor, and log."""
+"""Process of the daemon: priorities (the contact loop before the solver, docs/how-to/host.md), supervisor, and log."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class PriorityResult:
         first = f"contact loop at nice {LOOP_NICE}" if self.first else f"nice {LOOP_NICE} is not allowed: no priority"
         locked = "memory locked" if self.locked else "memory may be swapped out"
         spare = "one core kept free of computing" if self.cores > 2 else "no core to keep free"
-        missing = "" if self.first and self.locked else " (docs/host.md)"
+        missing = "" if self.first and self.locked else " (docs/how-to/host.md)"
         return f"{first}, {locked}, {self.cores} cores: {spare}{missing}"
 
 

@@ -39,7 +39,7 @@ def address_of(path: Path) -> Iterator[str]:
         os.close(folder)
 
 
-# Commands of the socket. The table in docs/cycle.md is made from this one.
+# Commands of the socket. The table in docs/reference/daemon.md is made from this one.
 
 SUBSCRIBE = "subscribe"
 

@@ -21,7 +21,7 @@ from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Vari
 from polishd.drivers.transport.address import tcp_address
 from polishd.util.files import SecretPlace, require_private
 
-# The keys of ``[robot]`` with ``type = "plc_robot"``: docs/plc-robot.md.
+# The keys of ``[robot]`` with ``type = "plc_robot"``: docs/how-to/plc-robot.md.
 
 
 class PlcRobotOptions(ConfigSection):
@@ -110,7 +110,7 @@ def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | Non
     for key, name in names.items():
         if not (name and (base_dir / Path(name).expanduser()).is_file()):
             said = f"{name!r} is not a file" if name else "is missing"
-            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/plc-robot.md)")
+            raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/how-to/plc-robot.md)")
     require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
     return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 

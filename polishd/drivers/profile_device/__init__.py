@@ -1,1 +1,1 @@
-"""Drives and sensors as data: a profile describes a device's protocol, and one driver runs it (docs/devices.md)."""
+"""Drives and sensors as data: a profile describes the protocol, one driver runs it (docs/how-to/devices.md)."""

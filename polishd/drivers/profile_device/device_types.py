@@ -1,4 +1,4 @@
-"""Device types of profiles: ``actuator_profile``, ``spindle_profile``, ``force_sensor_profile`` (docs/devices.md)."""
+"""Device types ``actuator_profile``, ``spindle_profile``, ``force_sensor_profile`` (docs/how-to/devices.md)."""
 
 from __future__ import annotations
 

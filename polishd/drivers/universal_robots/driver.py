@@ -392,7 +392,7 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         super()._drop()
 
 
-# The device type ``universal_robots``: a robot on a Universal Robots controller (docs/universal-robots.md).
+# The device type ``universal_robots``: a robot on a Universal Robots controller (docs/how-to/universal-robots.md).
 
 WAY_S = 0.02
 """Longest transmission time of a sample."""

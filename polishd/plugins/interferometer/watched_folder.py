@@ -161,7 +161,7 @@ class FolderOptions(BaseModel):
     """How far the instrument's clock may lag behind the folder's; files hold whole seconds only."""
     accept_without_part_id: bool = False
     """Accept files that do not name their part. A map of the last part without a date, or measured again after the
-    request, is then taken for this part's (docs/maps-folder.md): name maps where you can."""
+    request, is then taken for this part's (docs/how-to/maps-folder.md): name maps where you can."""
     claimed_dir: ConfigPath = Path("taken")
     """Where taken maps are kept, under their sha256; relative to ``folder``, same file system."""
     refused_dir: ConfigPath = Path("quarantine")

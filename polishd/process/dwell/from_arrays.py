@@ -1,4 +1,4 @@
-"""Dwell times for numpy arrays: a map, samples of a TIF and dwell points in, a certified dwell out. See docs/dwell.md.
+"""Certified dwell times from numpy arrays: a map, samples of a TIF, dwell points (docs/how-to/dwell.md).
 
 The map's axes may run either way and need no particular origin; every array that comes back runs as the map does.
 """

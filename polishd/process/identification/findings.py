@@ -1,6 +1,6 @@
 """Findings from several passes: slower convergence than predicted, rate drift, tool wear, a changed spot.
 
-Detection limits and false-alarm rates: docs/tool-wear.md.
+Detection limits and false-alarm rates: docs/explanation/tool-wear.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from polishd.process.removal.transfer_function import SpotTransferFunction
 LEVEL = 0.9
 UNEXPLAINED = 0.009
 """Prior of the unexplained share of the removal, RMS: most first passes of the scenarios then agree with the forecast,
-also those with a ripple that no touch shows (docs/scenarios.md)."""
+also those with a ripple that no touch shows (docs/explanation/scenarios.md)."""
 WITHIN = 0.6
 """Standard deviation of the log of that share from pass to pass."""
 MODES = 12

@@ -80,7 +80,7 @@ class PriorKnowledge:
 
 
 def usual_parameters(instrument: Iterable[str] = INSTRUMENT, *, turns: bool = True) -> tuple[Parameter, ...]:
-    """Return all parameters with the priors of docs/identification.md.
+    """Return all parameters with the priors of docs/explanation/identification.md.
 
     Args:
         instrument: what maps may differ by.

@@ -305,7 +305,7 @@ class CertificateEvent(Facts):
 class JournalFacts(Facts):
     """The journal of the job."""
 
-    sha256: str = Field(description="of its rows, as defined in docs/certificate.md")
+    sha256: str = Field(description="of its rows, as defined in docs/how-to/certificate.md")
     rows: dict[str, int] = Field(description="by table")
     events: list[CertificateEvent] = Field(description="all but progress")
 

@@ -1,6 +1,6 @@
 """``make replies``: every driver's talk, seed after seed, until each has had so many malformed or late replies.
 
-Goes on where an earlier sitting ended, on whichever machine that was; the table is in docs/replies.md.
+Goes on where an earlier sitting ended, on whichever machine that was; the table is in docs/reference/results.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What ``make replies`` came to: docs/replies.jsonl, a line a driver, and docs/replies.md of it."""
+"""What ``make replies`` came to: docs/data/replies.jsonl, a line a driver, and docs/reference/results.md of it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tests.campaigns.codecs.nasty import BAD, Talk, require_said
 from tests.campaigns.codecs.talks import TALKS, campaign
 from tests.system.sim_rig import ROOT
 
-PAGE = ROOT / "docs" / "replies.md"
-LINES = PAGE.with_suffix(".jsonl")
+PAGE = ROOT / "docs" / "reference" / "results.md"
+LINES = ROOT / "docs" / "data" / "replies.jsonl"
 BEGIN, END = "<!-- written by make replies -->\n", "<!-- end of what make replies writes -->"
 HEADER = """\
 | driver | broken | doubled | late | of them taken | refused or link lost | values taken | left out | seeds | measured |

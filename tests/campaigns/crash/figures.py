@@ -1,4 +1,4 @@
-"""What the campaigns came to: kept in files between sittings, added up, and shown in docs/reliability.md."""
+"""Results of the crash campaigns: kept in files, added up, and shown in docs/reference/results.md."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SAID = {
     "model": "promises that the model breaks",
 }
 """What may not be."""
-PAGE = ROOT / "docs" / "reliability.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make crash -->\n", "<!-- end of what make crash writes -->"
 EXAMPLES = 20
 
@@ -185,6 +185,6 @@ def table(all_: Mapping[str, Any]) -> str:
 
 
 def write_page(all_: Mapping[str, Any]) -> None:
-    """Put it into docs/reliability.md."""
+    """Put it into docs/reference/results.md."""
     before, _, rest = PAGE.read_text().partition(BEGIN)
     PAGE.write_text(before + BEGIN + table(all_) + END + rest.partition(END)[2])

@@ -1,4 +1,4 @@
-"""``make faults``: every fault on every link in contact, and what came of it, into docs/fault-matrix.md.
+"""``make faults``: every fault on every link in contact, and what came of it, into docs/reference/results.md.
 
 Goes on where an earlier sitting ended, on whichever machine that was: first with the cases that were never measured,
 then with those of other sources.

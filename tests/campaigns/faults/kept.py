@@ -1,4 +1,4 @@
-"""What the campaign came to: docs/fault-matrix.jsonl, a line a case, and docs/fault-losses.jsonl, a line a link."""
+"""Results: docs/data/fault-matrix.jsonl, a line a case, and docs/data/fault-losses.jsonl, a line a link."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.campaigns.faults.links import LINKS
 from tests.campaigns.faults.losses import Loss
 from tests.system.sim_rig import ROOT
 
-DOCS = ROOT / "docs"
+DATA = ROOT / "docs" / "data"
 CASES = [(name, fault) for name, link in LINKS.items() for fault in link.faults]
 LOSES = [name for name, link in LINKS.items() if link.loses()]
 OWN = "tests/campaigns/faults/losses.py"
@@ -38,7 +38,7 @@ def of_loss(link: str) -> str:
 class Kept:
     """Both files. Several threads may add."""
 
-    def __init__(self, folder: Path = DOCS, cells: int = 1) -> None:
+    def __init__(self, folder: Path = DATA, cells: int = 1) -> None:
         """``cells``: so many run side by side, for the rows."""
         self._cases, self._losses = folder / "fault-matrix.jsonl", folder / "fault-losses.jsonl"
         self._cells, self._lock = cells, threading.Lock()

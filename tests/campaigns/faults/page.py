@@ -1,4 +1,4 @@
-"""docs/fault-matrix.md, of what is kept beside it."""
+"""docs/reference/results.md: a row per link, from docs/data."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ import numpy as np
 
 from tests.campaigns import beside
 from tests.campaigns.beside import Row
-from tests.campaigns.faults.kept import CASES, DOCS, Kept
+from tests.campaigns.faults.kept import CASES, Kept
+from tests.system.sim_rig import ROOT
 
-PAGE = DOCS / "fault-matrix.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make faults -->\n", "<!-- end of what make faults writes -->"
-HEADER = """\
-| link | fault | noticed as | s to that | limit, s | force off after, s | outcome | load | measured |
-|---|---|---|---|---|---|---|---|---|
-"""
-LONGEST = 110
+COLUMNS = (
+    *("link", "cases", "continued", "contact left", "permitted silence, s", "longest to the first reaction, s"),
+    *("longest to force off, s", "load, most", "not as required", "measured"),
+)
+HEADER = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
 LOSSES = """\
 | link | how | losses | s to detection: 50, 95, 100 % | limit, s | s to force off: 50, 95, 100 % | load | measured |
 |---|---|---|---|---|---|---|---|
@@ -26,8 +27,11 @@ LOSSES = """\
 def text(kept: Kept) -> str:
     """Both tables."""
     cases, losses = kept.cases(), [row for told in kept.losses() for row in _losses(told)]
-    told = f"{len(cases)} of {len(CASES)} cases were measured.\n\n{HEADER}{''.join(map(_case, cases))}"
-    return f"{told}\n{LOSSES}{''.join(losses)}" if losses else told
+    wrong = sum(bool(row["wrong"]) for row in cases)
+    head = f"{len(cases)} of {len(CASES)} cases were measured, {wrong} of them not as required.\n\n{HEADER}"
+    links = dict.fromkeys(row["link"] for row in cases)
+    body = head + "".join(_link([row for row in cases if row["link"] == link]) for link in links)
+    return f"{body}\n{LOSSES}{''.join(losses)}" if losses else body
 
 
 def write(kept: Kept) -> None:
@@ -35,11 +39,25 @@ def write(kept: Kept) -> None:
     beside.write(PAGE, BEGIN, END, text(kept))
 
 
-def _case(row: Row) -> str:
-    noticed = " ".join(row["noticed"].split()).replace("|", "/")[:LONGEST] or "not at all"
-    times = (_s(row["detection_s"]), f"{row['limit_s']:g}", _s(row["force_off_s"]))
-    outcome = row["outcome"] + ("; " + _bold("wrong: " + "; ".join(row["wrong"])) if row["wrong"] else "")
-    return _line(row["link"], row["fault"], noticed, *times, outcome, _load(row), beside.when(row))
+def _link(rows: Sequence[Row]) -> str:
+    """Return the row of a link; cases that are not as required are named."""
+    goes_on = sum(row["outcome"] == "goes on" for row in rows)
+    wrong = "; ".join(_bold(f"{row['fault']}: {'; '.join(row['wrong'])}") for row in rows if row["wrong"])
+    return _line(
+        rows[0]["link"], str(len(rows)), str(goes_on), str(len(rows) - goes_on), f"{rows[0]['limit_s']:g}",
+        _most(row["detection_s"] for row in rows), _most(row["force_off_s"] for row in rows),
+        _most((row["load"] for row in rows), 1), wrong or "none", _days(rows),
+    )  # fmt: skip
+
+
+def _most(values: Iterable[float | None], digits: int = 2) -> str:
+    known = [value for value in values if value is not None]
+    return f"{max(known):.{digits}f}" if known else "-"
+
+
+def _days(rows: Sequence[Row]) -> str:
+    first, last = min(row["date"] for row in rows), max(row["date"] for row in rows)
+    return first if first == last else f"{first} to {last}"
 
 
 def _losses(row: Row) -> Iterator[str]:
@@ -60,10 +78,6 @@ def _line(*cells: str) -> str:
 
 def _bold(words: str) -> str:
     return f"**{words}**"
-
-
-def _s(seconds: float | None) -> str:
-    return "" if seconds is None else f"{seconds:.2f}"
 
 
 def _load(row: Row) -> str:

@@ -1,4 +1,4 @@
-"""What the campaign came to: kept between sittings, held against ``survivors.toml``, shown in docs/reliability.md."""
+"""Results of the mutation campaign: kept, compared with ``survivors.toml``, shown in docs/reference/results.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.campaigns.mutation.mutants import Module, Mutant
 from tests.campaigns.mutation.scope import KEPT, MODULES, ROOT
 
 EXPLAINED = Path(__file__).with_name("survivors.toml")
-PAGE = ROOT / "docs" / "reliability.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make mutate -->\n", "<!-- end of what make mutate writes -->"
 COLUMNS = (
     "module",
@@ -138,6 +138,6 @@ def _row(name: str, count: Mapping[str, int]) -> str:
 
 
 def write_page(text: str) -> None:
-    """Put it into docs/reliability.md."""
+    """Put it into docs/reference/results.md."""
     before, _, rest = PAGE.read_text().partition(BEGIN)
     PAGE.write_text(before + BEGIN + text + END + rest.partition(END)[2])

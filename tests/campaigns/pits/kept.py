@@ -1,8 +1,9 @@
-"""What ``make pits`` came to: docs/pits.jsonl, a line a case, and the table in docs/pits.md."""
+"""What ``make pits`` came to: docs/data/pits.jsonl, a line a case, and the table in docs/reference/results.md."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -13,15 +14,14 @@ from tests.campaigns.pits.cases import CASES, LINKS
 from tests.campaigns.pits.judge import Finding
 from tests.system.sim_rig import ROOT
 
-DOCS = ROOT / "docs"
-PAGE = DOCS / "pits.md"
+DATA = ROOT / "docs" / "data"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make pits -->\n", "<!-- end of what make pits writes -->"
 COLUMNS = (
-    *("link", "fault", "s to notice", "s to no force", "removed beyond plan, nm", "bound of check, nm"),
-    *("of the bound", "noticed as", "load", "measured"),
+    *("link", "cases", "longest to notice, s", "longest to no force, s", "most removed beyond plan, nm"),
+    *("of the bound, most", "not noticed", "not as required", "measured"),
 )
 HEADER = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
-LONGEST = 90
 COMMON = (
     "polishd/daemon",
     "polishd/model",
@@ -43,7 +43,7 @@ def of_case(link: str) -> str:
 class Kept:
     """The results of all sittings. Several threads may add."""
 
-    def __init__(self, folder: Path = DOCS) -> None:
+    def __init__(self, folder: Path = DATA) -> None:
         self._path = folder / "pits.jsonl"
         self._lock = threading.Lock()
 
@@ -69,11 +69,12 @@ class Kept:
 
 
 def text(kept: Kept) -> str:
-    """The table."""
+    """Return the table: a row per link."""
     rows = kept.rows()
     bad = sum(bool(row["wrong"]) for row in rows)
-    told = f"{len(rows)} of {len(CASES)} cases were measured, {bad} of them not as required.\n\n"
-    return f"{told}{HEADER}{''.join(map(_line, rows))}"
+    head = f"{len(rows)} of {len(CASES)} cases were measured, {bad} of them not as required.\n\n{HEADER}"
+    links = dict.fromkeys(row["link"] for row in rows)
+    return head + "".join(_line([row for row in rows if row["link"] == link]) for link in links)
 
 
 def write(kept: Kept) -> None:
@@ -81,17 +82,20 @@ def write(kept: Kept) -> None:
     beside.write(PAGE, BEGIN, END, text(kept))
 
 
-def _line(row: Row) -> str:
-    noticed = " ".join(row["noticed"].split()).replace("|", "/")[:LONGEST]
-    if row["notice_s"] is None:
-        noticed = "not noticed"
-    wrong = f" **{'; '.join(row['wrong'])}**" if row["wrong"] else ""
-    share = f"{100.0 * row['removed_nm'] / row['bound_nm']:.0f} %{wrong}"
-    figures = (f"{row['removed_nm']:.1f}", f"{row['bound_nm']:.1f}", share)
-    cells = (row["link"], row["fault"], _s(row["notice_s"]), _s(row["no_force_s"]), *figures)
-    whole = (*cells, noticed, f"{row['load']:.1f}", beside.when(row))
-    return f"| {' | '.join(whole)} |\n"
+def _line(rows: Sequence[Row]) -> str:
+    """Return the row of a link; cases that no device noticed, or that are not as required, are named."""
+    unnoticed = ", ".join(row["fault"] for row in rows if row["notice_s"] is None)
+    wrong = "; ".join(f"**{row['fault']}: {'; '.join(row['wrong'])}**" for row in rows if row["wrong"])
+    share = max(row["removed_nm"] / row["bound_nm"] for row in rows)
+    first, last = min(row["date"] for row in rows), max(row["date"] for row in rows)
+    cells = (
+        *(rows[0]["link"], str(len(rows)), _most(rows, "notice_s"), _most(rows, "no_force_s")),
+        *(f"{max(row['removed_nm'] for row in rows):.1f}", f"{100.0 * share:.0f} %", unnoticed or "none"),
+        *(wrong or "none", first if first == last else f"{first} to {last}"),
+    )
+    return f"| {' | '.join(cells)} |\n"
 
 
-def _s(seconds: float | None) -> str:
-    return "" if seconds is None else f"{seconds:.2f}"
+def _most(rows: Sequence[Row], key: str) -> str:
+    known = [row[key] for row in rows if row[key] is not None]
+    return f"{max(known):.2f}" if known else "-"

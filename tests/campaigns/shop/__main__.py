@@ -19,7 +19,7 @@ from tests.campaigns.shop.sitting import CELLS, Sitting
 from tests.system.sim_rig import ROOT
 
 FOLDER = ROOT / "build" / "shop"
-PAGE = ROOT / "docs" / "shop.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make shop-campaign -->\n", "<!-- end of it -->\n"
 PARTS, SITTING, SPEED = 300, 30, 40.0
 OF = ("polishd/shop", "polishd/daemon", "polishd/web/http")

@@ -26,7 +26,7 @@ from tests.system.sim_rig import ROOT
 FOLDER = ROOT / "build" / "soak"
 PARTS, SITTING = 931, 40
 SPEED = 20.0
-"""Faster, a sample of the force (each 50 ms of the wall) stands for too much of a pass: docs/reliability.md."""
+"""Faster, a sample of the force (each 50 ms of the wall) covers too much of a pass."""
 NAMED = {script.name: script for script in SCRIPTS}
 EVIDENCE = 40
 """So much of what was wrong is kept."""

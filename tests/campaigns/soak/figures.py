@@ -1,4 +1,4 @@
-"""What a soak came to: a line of JSON for each part as it goes, summed, and shown in docs/reliability.md."""
+"""Results of a soak: a line of JSON for each part, summed, and shown in docs/reference/results.md."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OUTSIDE_SHARE = 0.01
 """Most of the accepted that the truth puts out of tolerance."""
 ENOUGH = 100
 """Fewer parts than that may each be all of a hundredth."""
-PAGE = ROOT / "docs" / "reliability.md"
+PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make soak -->\n", "<!-- end of what make soak writes -->"
 LIFE_BEGIN, LIFE_END = "<!-- written by make soak --life -->\n", "<!-- end of what make soak --life writes -->"
 WITHOUT = {CALM.name, *(script.name for script in RECOVERED)}
@@ -280,7 +280,7 @@ def _growth(slope: Slope, bound: float) -> str:
 
 
 def write_page(text: str, *, life: bool = False) -> None:
-    """Put it into docs/reliability.md."""
+    """Put it into docs/reference/results.md."""
     begin, end = (LIFE_BEGIN, LIFE_END) if life else (BEGIN, END)
     before, _, rest = PAGE.read_text().partition(begin)
     PAGE.write_text(before + begin + text + end + rest.partition(end)[2])

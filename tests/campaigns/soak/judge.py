@@ -22,7 +22,7 @@ STANDS_S = 0.05
 DEEPER, DEEPER_NM = 0.15, 5.0
 """Of what was planned, and beside it: so much deeper no place may be. The hidden rate is up to 10 % off."""
 TORN_NM = 70.0
-"""Beside that where a pass was cut off: the deepest place that docs/cycle.md tells of any way out is 68 nm."""
+"""Beside that where a pass was cut off: the deepest of any way out in docs/reference/results.md is 68 nm."""
 
 
 @dataclass(slots=True)

@@ -16,7 +16,7 @@ from polishd.plugin_loader import load_cell
 from tests.fakes.receivers import web_server
 from tests.unit.said import Polishd
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "notifications.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "notifications.md"
 SECRET = "hunter2-and-more"
 LOAD = '"plan_checks"'
 PAGER = """

@@ -1,4 +1,4 @@
-"""The man page is the command line's own: every verb and option, and none that is not there."""
+"""The man page and docs/reference/cli.md are the command line's own: every verb and option, and no other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 
-from docs.reference import man
+from docs.reference import cli, man
 from polishd.cli.app import app
 
 
@@ -26,6 +26,11 @@ def test_it_is_written_anew_with_the_command_line() -> None:
     assert man.PAGE.read_text(encoding="utf-8") == man.page(), "make reference"
 
 
+def test_the_page_of_the_site_is_written_anew_with_the_command_line() -> None:
+    assert cli.PAGE.read_text(encoding="utf-8") == cli.page(), "make reference"
+    assert all(f"\n## {name}\n" in cli.page() for name in verbs(typer.main.get_command(app)))
+
+
 def test_it_has_every_verb_and_option() -> None:
     text = man.page().replace("\\-", "-")
     for name, command in verbs(typer.main.get_command(app)).items():
@@ -36,7 +41,7 @@ def test_it_has_every_verb_and_option() -> None:
             assert option in mine or option == "--help", f"{name} {option}"
 
 
-def test_its_examples_are_verbs_and_its_exit_codes_those_of_the_readme() -> None:
+def test_its_examples_are_verbs_and_its_exit_codes_those_of_the_reference() -> None:
     known = {name.split()[1] for name in verbs(typer.main.get_command(app))}
     for line, _ in man.EXAMPLES:
         assert {part.split()[1] for part in line.split(" && ")} <= known

@@ -50,7 +50,7 @@ def test_a_unit_is_supervised_and_restarts_only_what_comes_up_held(polishd: Poli
 
 def test_the_systems_unit_has_the_rights_of_the_host_page(polishd: Polishd) -> None:
     unit = polishd("service", "show", EXAMPLE, EXAMPLE.parent / "two_robots.toml", "--system").out
-    page = (EXAMPLE.parents[1] / "docs" / "host.md").read_text()
+    page = (EXAMPLE.parents[1] / "docs" / "how-to" / "host.md").read_text()
     for line in ("LimitNICE=-10", "LimitMEMLOCK=infinity", "CPUWeight=1000"):
         assert line in unit
         assert line in page

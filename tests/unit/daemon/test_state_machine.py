@@ -1,4 +1,4 @@
-"""The table of states and its copy in docs/cycle.md: each row leads where it says, with a person there and without."""
+"""The table of states, and its copy in docs/reference/daemon.md: each row leads where it says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from polishd.daemon.socket.client import VERBS
 from polishd.daemon.state_machine import DOES, ORDERS, TRANSITIONS, StateEvent, StateTransition, following, obeyed
 from polishd.model.states import DaemonState
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "cycle.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "reference" / "daemon.md"
 
 
 def cause(trigger: StateEvent) -> str:

@@ -1,4 +1,4 @@
-"""docs/maps.md: each command in it that needs no cell runs as printed, and says what is printed below it."""
+"""docs/how-to/maps.md: each command in it that needs no cell runs as printed, and says what is printed below it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from polishd.rendering.terminal import WIDE, stdout
 from tests.unit.said import Polishd
 
 ROOT = Path(__file__).parents[3]
-DRAWING = (ROOT / "docs/tolerance.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
-PAGE = (ROOT / "docs/maps.md").read_text(encoding="utf-8")
+DRAWING = (ROOT / "docs/reference/tolerance.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+PAGE = (ROOT / "docs/how-to/maps.md").read_text(encoding="utf-8")
 
 
 def examples(words: str) -> list[tuple[str, list[str]]]:

@@ -1,4 +1,4 @@
-"""The records of what happens, and the table of them in docs/plugins.md."""
+"""The records of what happens, and the table of them in docs/reference/events.md."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from polishd.model.events import EVENTS, CellOpened, Event, MapMeasured, PassEnd
 from polishd.model.states import Outcome
 from polishd.model.surface import SurfaceStats
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "plugins.md"
-NOTIFICATIONS = DOCS.with_name("notifications.md")
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "reference" / "events.md"
 
 
 def row(kind: type[Event]) -> str:
@@ -34,7 +33,7 @@ def concerns() -> str:
 
 
 def test_the_docs_say_which_events_concern_a_person() -> None:
-    assert concerns() in NOTIFICATIONS.read_text(), concerns()
+    assert concerns() in DOCS.read_text(), concerns()
 
 
 def test_the_docs_have_every_event_with_its_fields() -> None:

@@ -166,7 +166,7 @@ def test_each_nodeset_has_its_licence_at_its_head() -> None:
 def test_a_cell_that_does_not_say_who_it_is_is_refused(polishd: Polishd, tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     said = polishd("opcua", cell)
-    assert (said.code, "opcua: is missing" in said.err, "docs/plant-systems.md" in said.err) == (3, True, True)
+    assert (said.code, "opcua: is missing" in said.err, "docs/how-to/plant-systems.md" in said.err) == (3, True, True)
 
 
 @pytest.mark.full

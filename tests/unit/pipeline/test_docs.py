@@ -1,4 +1,4 @@
-"""docs/recipe.md: its example runs on the shipped cell with a smaller part, and comes to what `polishd plan` does."""
+"""docs/how-to/recipe.md: its example on the shipped cell with a smaller part gives what `polishd plan` does."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from polishd.plugin_loader import load_own
 from tests.unit.daemon.small import as_map, small_map, small_text
 
 ROOT = Path(__file__).parents[3]
-(EXAMPLE,) = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "recipe.md").read_text(), re.DOTALL | re.MULTILINE)
+(EXAMPLE,) = re.findall(
+    r"^```python\n(.*?)^```", (ROOT / "docs" / "how-to" / "recipe.md").read_text(), re.DOTALL | re.MULTILINE
+)
 SMALLER = (
     ("aperture_mm = 100.0", "aperture_mm = 24.0"),
     ("edge_mm = 3.0", "edge_mm = 2.0"),
@@ -48,14 +50,14 @@ def write_map(path: Path, surface: Any) -> None:
 def test_the_example_runs_and_learns(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
     until_pass, after_pass = EXAMPLE.split("# after the pass", 1)
     names: dict[str, Any] = {}
-    exec(compile(until_pass, "docs/recipe.md", "exec"), names)
+    exec(compile(until_pass, "docs/how-to/recipe.md", "exec"), names)
     recipe, program, plan = names["recipe"], names["program"], names["plan"]
     assert (site / "next.rnc").read_bytes() == plan.program.text
     assert any("tool axis" in veto for veto in names["vetoes"]), "the small program states none"
     surface = read_map(site / "map.dat", load_own().surface_readers().values())
     removed = REMOVED * steps.effect_of(recipe, program, surface.grid).removal_nm(plan.expected_time_s)
     write_map(site / "after.dat", as_map(surface.height_nm - removed))
-    exec(compile("# after the pass" + after_pass, "docs/recipe.md", "exec"), names)
+    exec(compile("# after the pass" + after_pass, "docs/how-to/recipe.md", "exec"), names)
     said = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"\d+\.\d\d nm RMS in the clear aperture", said[0])
     assert re.fullmatch(r"\d+ s leave \d+\.\d\d nm", said[1])

@@ -242,7 +242,7 @@ def test_a_matrix_that_would_be_too_large_is_not_made(monkeypatch: pytest.Monkey
 
 
 def test_only_a_slow_matrix_of_wide_spots_gives_way() -> None:
-    """Entries, points and CPU seconds as measured: benchmarks/bench_choice.py, docs/dwell.md."""
+    """Entries, points and CPU seconds as measured: benchmarks/bench_choice.py, docs/how-to/dwell.md."""
     for entries, points, measured_s in ((2.12e6, 32_724, 0.68), (9.84e6, 72_500, 10.4), (15.8e6, 78_582, 29.8)):
         assert 0.5 < removal_models.newton_s(entries, points) / measured_s < 1.7
     assert removal_models.prefers_no_matrix(7.09e6, 35_274)  # 200 mm, spots of 4 mm: 10 s with a matrix, 2 s without

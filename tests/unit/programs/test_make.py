@@ -362,7 +362,7 @@ def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_what_the_page_says_runs(polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (EXAMPLE.parents[1] / "docs" / "paths.md").read_text()
+    page = (EXAMPLE.parents[1] / "docs" / "how-to" / "paths.md").read_text()
     commands = page.split("```")[1].replace("\\\n", " ").strip().split("\n")
     (tmp_path / "cell.toml").write_text(EXAMPLE.read_text())
     monkeypatch.chdir(tmp_path)

@@ -311,7 +311,7 @@ def test_the_dialect_is_asked_for_and_never_guessed(polishd: Polishd, tmp_path: 
 
 
 def test_the_dialect_of_the_docs_is_read_as_they_say(polishd: Polishd, tmp_path: Path) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "programs.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "programs.md").read_text()
     own = tmp_path / "shop.toml"
     own.write_text(page.split("A dialect is a TOML file")[1].split("```toml\n")[1].split("```")[0])
     path = tmp_path / "p.nc"

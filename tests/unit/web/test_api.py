@@ -19,7 +19,7 @@ from polishd.web.routes import ROUTES, ApiRoute, document, open_path
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
 
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "web.md"
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "reference" / "http-api.md"
 FIELDS = {"string": "x", "array": [1]}
 
 
@@ -70,7 +70,7 @@ OPEN = (
 
 
 def endpoint_rows() -> list[str]:
-    """The table in docs/web.md: each endpoint without a user and with each role."""
+    """The table in docs/reference/http-api.md: each endpoint without a user and with each role."""
     rows = ["| method | path | no user | watch | operate | engineer | what |", "|---|---|---|---|---|---|---|"]
     rows += [f"| `{method}` | `{path}` | yes | yes | yes | yes | {what} |" for method, path, what in OPEN]
     for route in ROUTES:

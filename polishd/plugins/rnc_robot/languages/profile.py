@@ -277,7 +277,7 @@ def parse(content: Mapping[str, Any], source: str) -> LanguageProfile:
         return LanguageProfile.model_validate(content)
     except ValidationError as error:
         found = [f"{source}: {_key(entry['loc'])}{entry['msg']}" for entry in error.errors()]
-        raise ConfigError("\n".join(found) + ". To do: see docs/robot-languages.md for its form.") from error
+        raise ConfigError("\n".join(found) + ". To do: see docs/how-to/robot-languages.md for its form.") from error
 
 
 def _key(location: tuple[int | str, ...]) -> str:

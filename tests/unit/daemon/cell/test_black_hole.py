@@ -117,7 +117,7 @@ async def test_a_stop_ends_the_daemon_whatever_a_device_does(
 
 
 def test_how_long_the_end_may_take_is_known_beforehand(bench: Bench) -> None:
-    """What systemd waits for (docs/host.md): with the shipped times, four devices that swallow all."""
+    """What systemd waits for (docs/how-to/host.md): with the shipped times, four devices that swallow all."""
     assert bench.fake.cell.end_s == 2 * (bench.fake.cell.limits.safe_s + SOON_S) + 4 * SOON_S
 
 

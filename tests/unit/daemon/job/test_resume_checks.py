@@ -21,7 +21,7 @@ from polishd.daemon.journal.journal import Journal
 from polishd.model.errors import ConfigError
 from tests.commissioned import forged
 
-DOCS = Path(__file__).resolve().parents[4] / "docs" / "cycle.md"
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "reference" / "daemon.md"
 
 
 @pytest.fixture

@@ -86,5 +86,5 @@ def row(rule: ResultRule, *, torn: bool = False) -> str:
 def test_the_docs_show_the_table() -> None:
     head = ["| what ended it | the part is | the queue | why |", "|---|---|---|---|"]
     table = [*head, row(TORN, torn=True), *map(row, RULES)]
-    docs = Path(__file__).resolve().parents[4] / "docs" / "queue.md"
+    docs = Path(__file__).resolve().parents[4] / "docs" / "reference" / "daemon.md"
     assert "\n".join(table) in docs.read_text(), "\n".join(table)

@@ -231,8 +231,8 @@ async def test_no_hold_does_not_wait_for_a_person_after_an_interruption(site: Si
 
 
 def test_the_table_of_what_holds_and_what_ends_is_the_code() -> None:
-    """docs/cycle.md beside the tree of errors: each one has its line, and no other."""
-    page = (Path(__file__).parents[4] / "docs" / "cycle.md").read_text()
+    """docs/reference/errors.md beside the tree of errors: each one has its line, and no other."""
+    page = (Path(__file__).parents[4] / "docs" / "reference" / "errors.md").read_text()
     rows = re.findall(r"^\| (`\w+.*?) \| (\d+) \| (held|ended) \|", page, re.MULTILINE)
     documented = {name: (int(code), end) for names, code, end in rows for name in re.findall(r"`(\w+)`", names)}
     tree = {

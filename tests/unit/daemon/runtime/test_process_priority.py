@@ -88,7 +88,7 @@ def test_where_nothing_is_allowed_it_runs_all_the_same_and_says_so(monkeypatch: 
     with loop_first() as granted:
         assert (granted.first, granted.locked) == (False, False)
     assert host().startswith("nice -10 is not allowed: no priority, memory may be swapped out, ")
-    assert host().endswith("(docs/host.md)")
+    assert host().endswith("(docs/how-to/host.md)")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The table of verbs, and its copy in docs/cycle.md."""
+"""The table of verbs, and its copy in docs/reference/daemon.md."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from polishd.daemon.socket.client import VERBS, SocketCommand
 
-DOCS = Path(__file__).resolve().parents[4] / "docs" / "cycle.md"
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "reference" / "daemon.md"
 
 
 def row(verb: SocketCommand) -> str:

@@ -23,7 +23,7 @@ SILENCE_S = 20.0
 
 
 def papers_of(folder: Path, name: str, uri: str) -> tuple[Path, Path]:
-    """A certificate and its key, made as docs/plc-robot.md says."""
+    """A certificate and its key, made as docs/how-to/plc-robot.md says."""
     key, certificate = folder / f"{name}.key", folder / f"{name}.pem"
     subprocess.run(
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "9", "-keyout", key, "-out", certificate,

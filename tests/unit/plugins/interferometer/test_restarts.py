@@ -141,7 +141,7 @@ def test_a_new_journal_is_not_given_old_maps(tmp_path: Path, maps: Path) -> None
     again = Daemon(tmp_path, None)
     assert again.poll() is None
     assert first.path
-    first.path.rename(maps / "b.dat")  # as docs/maps-folder.md says
+    first.path.rename(maps / "b.dat")  # as docs/how-to/maps-folder.md says
     found = again.poll()
     assert found
     assert found.sha256 == first.sha256

@@ -247,7 +247,7 @@ def test_too_many_names(write: Write) -> None:
 
 
 def test_the_manual_shows_a_profile_that_loads(write: Write) -> None:
-    page = (Path(__file__).parents[4] / "docs" / "programs.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[4] / "docs" / "how-to" / "programs.md").read_text(encoding="utf-8")
     shown = re.search(r"```toml\n(extends = .*?)```", page, re.DOTALL)
     assert shown is not None
     profile = cast(GcodeDialect, dialect(write(shown[1])))

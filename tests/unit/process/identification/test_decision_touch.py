@@ -36,7 +36,7 @@ def machine(known: PriorKnowledge, seed: int) -> Mapping[str, float]:
 
 
 def in_use(known: PriorKnowledge, truth: Mapping[str, float], hours: float, seed: int) -> Mapping[str, float]:
-    """The machine so many hours of contact later: worn, and walked at random as docs/identification.md says."""
+    """The machine so many hours of contact later: worn, and walked at random (docs/explanation/identification.md)."""
     rng = np.random.default_rng([seed, 1])
     after = {p.name: truth[p.name] + float(rng.normal()) * p.use * hours**0.5 for p in known.parameters}
     return {**after, "rate": after["rate"] - hours * truth.get("wear", 0.0)}
@@ -152,7 +152,7 @@ def stated(
     [pytest.param(8, marks=pytest.mark.full), pytest.param(200, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])],
 )
 def test_what_is_stated_of_a_touch_holds(machines: int) -> None:
-    """Of machines as the priors expect them, with all that a cell's learner fits: the figures of docs/estimates.md."""
+    """Machines as the priors expect, with all parameters that a cell fits: figures of docs/explanation/estimates.md."""
     held, touches = stated(machines, knowing(f"{EVERYTHING} power"), of_the_prior)
     print(f"{machines} machines of {touches}\n{held}")
     assert touches < 2.5 * machines, "most machines need no person"

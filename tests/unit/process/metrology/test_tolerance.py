@@ -55,7 +55,7 @@ def test_figures_over_their_periods(line: ToleranceLine, expected: float) -> Non
 
 
 def test_the_pv_of_a_band_is_read_high_at_the_rim() -> None:
-    """As docs/tolerance.md says."""
+    """As docs/reference/tolerance.md says."""
     assert 6.0 <= value(ToleranceLine("pv", 1.0, below_mm=9.0), BOTH) < 8.5
 
 

@@ -25,7 +25,7 @@ from polishd.reports.certificate.sources import find_run
 from tests.unit.reports.certificate.conftest import Made
 from tests.unit.said import Polishd
 
-DOCS = Path(__file__).resolve().parents[4] / "docs" / "certificate.md"
+DOCS = Path(__file__).resolve().parents[4] / "docs" / "how-to" / "certificate.md"
 AT = datetime(2026, 11, 25, 12, 0, tzinfo=UTC)
 
 
@@ -221,7 +221,7 @@ def test_the_command_line_has_it() -> None:
 
 @pytest.mark.full
 def test_ten_lines_of_python_verify_it_without_polishd(signed: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As docs/certificate.md has them."""
+    """As docs/how-to/certificate.md has them."""
     (example,) = re.findall(r"^```python\n(.*?)^```", DOCS.read_text(), re.DOTALL | re.MULTILINE)
     monkeypatch.chdir(signed.pdf.parent)
     signed.pdf.rename("LENS-7.pdf")

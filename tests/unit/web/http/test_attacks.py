@@ -1,4 +1,4 @@
-"""Attacks on the page and its API. docs/security.md names these tests with their results."""
+"""Attacks on the page and its API. docs/explanation/security.md names these tests with their results."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from polishd.plugins.rnc_robot.languages.profile import Dwell, Writing, compiled
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, PROGRAMS, around, profile
 
 ROOT = Path(__file__).parents[5]
-DOCS = ROOT / "docs" / "robot-languages.md"
+DOCS = ROOT / "docs" / "how-to" / "robot-languages.md"
 LINE = Writing(False, False, [";"], frozenset({"x"}), {"rest": "[^;]*"})
 
 FITS = [
