@@ -94,7 +94,7 @@ FAULTS: dict[str, tuple[Callable[[UrController], object], str]] = {
     "another script": (lambda machine: machine.load("def other():\n  sleep(9)\nend"), "another program"),
     "slider": (lambda machine: setattr(machine, "slider", 0.3), "speed slider is at 30 %"),
     "slider at zero": (lambda machine: setattr(machine, "slider", 0.0), "speed slider is at 0 %"),
-    "started anew": (lambda machine: machine.ints_out.__setitem__(24, 0), "started anew"),
+    "started anew": (lambda machine: machine.ints_out.__setitem__(24, 0), "has restarted"),
 }
 
 
