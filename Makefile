@@ -132,7 +132,7 @@ robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses
 lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
 	@$(PYTHON) -m venv --clear build/uv
 	@build/uv/bin/python -m pip -qq --disable-pip-version-check install 'uv>=0.9,<1'
-	@build/uv/bin/uv --quiet pip compile pyproject.toml --group dev --output-file requirements.lock \
+	@build/uv/bin/uv --quiet pip compile pyproject.toml --extra all --group dev --output-file requirements.lock \
 	    --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@rm -rf build/uv

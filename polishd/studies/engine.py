@@ -16,6 +16,7 @@ from typing import Any, Protocol, Self
 from polishd.model.errors import ConfigError
 from polishd.studies.cases import Case, versions
 from polishd.studies.workers import CaseResult, StudyWorkerPool, Task
+from polishd.util.extras import require_extra
 
 # Executors of tasks: processes of this machine, or a Dask cluster. Both run a task with the same child process.
 
@@ -79,12 +80,9 @@ class DaskCluster:
 
     def __init__(self, address: str) -> None:
         """Connect; workers may come later. ConfigError where Dask is not installed, or no scheduler answers."""
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise ConfigError(
-                "--scheduler: distributed is not installed. Install polishd[dask], or omit the option"
-            ) from error
+        require_extra("--scheduler", "dask")
+        from distributed import Client
+
         connect: Any = Client
         try:
             self._client = connect(address, timeout=ANSWER_S)
