@@ -97,8 +97,9 @@ format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
-reference: $(VENV)/.installed ## write docs/reference (all config keys) and the man page docs/polishd.1 from the source
+reference: $(VENV)/.installed ## write docs/reference (all config keys), JSON Schemas and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
+	@$(BIN)/python -m docs.reference.schemas
 	@$(BIN)/python -m docs.reference.man
 
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")

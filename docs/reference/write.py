@@ -250,8 +250,9 @@ def _type(schema: dict[str, Any]) -> str:
         least, most = _counts(schema)
         count = f"{most} " if least == most != 0 else ""
         inner = _inner(schema)
-        plural = PLURAL.get(inner.get("type", "any"), "")
-        return f"list of {count}{_type(inner).replace('list', 'lists')}{plural}"
+        kinds = [kind for kind in inner.get("anyOf", [inner]) if kind.get("type") != "null"]
+        named = (_type(kind).replace("list", "lists") + PLURAL.get(kind.get("type", "any"), "") for kind in kinds)
+        return f"list of {count}{' or '.join(dict.fromkeys(named))}"
     return TYPES[schema.get("format", schema.get("type", "any"))]
 
 

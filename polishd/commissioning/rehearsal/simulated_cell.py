@@ -173,4 +173,6 @@ def _toml(value: object) -> str:
 
 
 def _shipped(name: str) -> str:
-    return (resources.files("polishd.commissioning.rehearsal") / "demo_data" / name).read_text(encoding="utf-8")
+    """Return a file of the demo without its line for editors, whose path starts from `examples/`."""
+    text = (resources.files("polishd.commissioning.rehearsal") / "demo_data" / name).read_text(encoding="utf-8")
+    return re.sub(r"^#:schema .*\n", "", text)
