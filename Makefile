@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference bench compare naming scenarios lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -137,6 +137,18 @@ lock: ## rewrite requirements.lock (ARGS=--upgrade for newer versions)
 	    --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@rm -rf build/uv
+
+# Two builds of one commit are the same to the byte: files have the commit's time. Hatchling comes from the lock.
+SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1577836800)
+dist: $(VENV)/.installed ## build sdist and wheel into dist/
+	@rm -rf dist
+	@SOURCE_DATE_EPOCH=$(SOURCE_DATE_EPOCH) $(BIN)/python -m hatchling build -d dist
+
+dist-check: dist ## build twice, compare, install the wheel into an empty environment and make a first plan with it
+	@SOURCE_DATE_EPOCH=$(SOURCE_DATE_EPOCH) $(BIN)/python -m tests.release.dist dist
+
+image-check: $(VENV)/.installed ## build the container image and run it; without podman or docker check the Containerfile
+	@$(BIN)/python -m tests.release.image
 
 clean: ## remove all generated files
 	@rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
