@@ -42,8 +42,9 @@ FIRST_PLAN = (
     ("init", "cell", "--from", "answers.toml"),
     ("check", "cell/cell.toml"),
     ("plan", "cell/cell.toml", "part.dat", "--out", "cell/plan"),
+    ("study", str(ROOT / "examples" / "robustness.toml"), "--limit", "1", "--workers", "1"),
 )
-"""Commands of a first plan, in an empty folder with a map."""
+"""Commands of a first plan, in an empty folder with a map; and of a first simulated job."""
 
 
 def hashes(folder: Path) -> dict[str, str]:

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from polishd.plugins.rnc_robot.gcode import jit as gcode_jit
 from polishd.plugins.rnc_robot.gcode import scanner
 from polishd.process.dwell import alternating_directions, douglas_rachford
 from polishd.process.removal import combined_effect
+from polishd.studies import cases
 from polishd.util import extras, jit
 from tests.unit.maps.maps import dat
 from tests.unit.said import Polishd
@@ -142,6 +144,18 @@ def test_without_numba_numpy_and_the_interpreter_are_taken(monkeypatch: Patch) -
     iteration = douglas_rachford._iteration((1000, 1000), np.float32)
     assert isinstance(iteration, douglas_rachford.NumpyIteration)
     assert not combined_effect.is_compiled(Many())  # type: ignore[arg-type]
+
+
+def test_a_study_counts_a_missing_numba_as_a_version(monkeypatch: Patch) -> None:
+    def version(name: str) -> str:
+        if name == "numba":
+            raise PackageNotFoundError(name)
+        return "1"
+
+    with_it = cases.versions()
+    monkeypatch.setattr(cases, "version", version)
+    assert cases.versions()["numba"] == ""
+    assert with_it["numba"] != ""
 
 
 def test_the_solvers_load_numba_only_when_a_problem_is_large() -> None:
