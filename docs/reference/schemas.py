@@ -89,7 +89,8 @@ def _kinds(whole: Schema, annotation: Any, kinds: Mapping[str, type[BaseModel]],
 
 
 def _study() -> Schema:
-    cases, definitions = [], {}
+    cases: list[Schema] = []
+    definitions: Schema = {}
     sweep = _of(SweepSection)
     definitions |= sweep.pop("definitions", {})
     for kind, model in KINDS.items():

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polishd.model.surface import FloatArray
-from polishd.process.dwell.alternating_directions import RELAXATION, AlternatingStep, step_sizes
+from polishd.process.dwell.alternating_step import RELAXATION, AlternatingStep, step_sizes
 from polishd.process.fft.simd import COUNT, load, store
 from polishd.process.fft.transforms import (
     FftPlanArrays,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.process.dwell.douglas_rachford import RELAXATION, Array, SplitProblem, firmness, misfit_share
+from polishd.process.dwell.splitting_iteration import RELAXATION, Array, SplitProblem, firmness, misfit_share
 from polishd.process.fft.simd import COUNT, least, load, most, splat, store
 from polishd.process.fft.transforms import (
     FftFields,
