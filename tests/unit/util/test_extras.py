@@ -152,10 +152,9 @@ def test_a_study_counts_a_missing_numba_as_a_version(monkeypatch: Patch) -> None
             raise PackageNotFoundError(name)
         return "1"
 
-    with_it = cases.versions()
     monkeypatch.setattr(cases, "version", version)
-    assert cases.versions()["numba"] == ""
-    assert with_it["numba"] != ""
+    assert cases.versions.__wrapped__()["numba"] == ""  # the answer of this process is kept
+    assert cases.versions.__wrapped__()["numpy"] == "1"
 
 
 def test_the_solvers_load_numba_only_when_a_problem_is_large() -> None:
