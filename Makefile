@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs paper bench compare naming scenarios lock clean
+.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs paper bench compare naming scenarios lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -97,8 +97,9 @@ format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .
 	@$(BIN)/ruff format --quiet .
 
-reference: $(VENV)/.installed ## write docs/reference (config keys, ports, command line) and the man page docs/polishd.1 from the source
+reference: $(VENV)/.installed ## write docs/reference (config keys, ports, command line), JSON Schemas and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
+	@$(BIN)/python -m docs.reference.schemas
 	@$(BIN)/python -m docs.reference.man
 	@$(BIN)/python -m docs.reference.cli
 
@@ -158,13 +159,25 @@ robustness-dask: $(VENV)/.installed ## run the same on a Dask cluster that loses
 lock: ## rewrite requirements.lock and docs/requirements.lock (ARGS=--upgrade for newer versions)
 	@$(PYTHON) -m venv --clear build/uv
 	@build/uv/bin/python -m pip -qq --disable-pip-version-check install 'uv>=0.9,<1'
-	@build/uv/bin/uv --quiet pip compile pyproject.toml --group dev --output-file requirements.lock \
+	@build/uv/bin/uv --quiet pip compile pyproject.toml --extra all --group dev --output-file requirements.lock \
 	    --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
 	    --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@build/uv/bin/uv --quiet pip compile docs/requirements.in --constraints requirements.lock \
 	    --output-file docs/requirements.lock --universal --python-version 3.11 --fork-strategy fewest \
 	    --generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(ARGS)
 	@rm -rf build/uv
+
+# Two builds of one commit are the same to the byte: files have the commit's time. Hatchling comes from the lock.
+SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1577836800)
+dist: $(VENV)/.installed ## build sdist and wheel into dist/
+	@rm -rf dist
+	@SOURCE_DATE_EPOCH=$(SOURCE_DATE_EPOCH) $(BIN)/python -m hatchling build -d dist
+
+dist-check: dist ## build twice, compare, install the wheel into an empty environment and make a first plan with it
+	@SOURCE_DATE_EPOCH=$(SOURCE_DATE_EPOCH) $(BIN)/python -m tests.release.dist dist
+
+image-check: $(VENV)/.installed ## build the container image and run it; without podman or docker check the Containerfile
+	@$(BIN)/python -m tests.release.image
 
 clean: ## remove all generated files
 	@rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis

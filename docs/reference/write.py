@@ -72,7 +72,12 @@ INTRODUCTIONS = {
     "cell": """This page lists the keys of a cell's file; [examples/cell.toml](../../examples/cell.toml) shows them with
 comments. Relative paths start from the file's folder. The options of `[robot]`, `[actuator]`, `[spindle]`,
 `[metrology]`, `[loader]`, `[force_sensor]`, `[monitor]` and `[notify.NAME]` depend on `type`. This page has polishd's
-own types; other plugins may add more.""",
+own types; other plugins may add more.
+
+Editors complete and check keys with the JSON Schemas in `polishd/config/schemas` (cell, study, instrument, device). VS
+Code (Even Better TOML) and taplo read the path from the first line of a file, as in the examples:
+`#:schema PATH/cell.json`. `python -c "import polishd.config as c; print(c.__path__[0])"` prints the folder of an
+installed polishd in which `schemas` lies.""",
     "study": """This page lists the keys of a study's file; [studies.md](../how-to/studies.md) describes what they
 compute. The keys depend on `kind`. `[part]`, `[kinematics]`, `[compliance]` and `[process]` are those of
 [a cell](cell.md), with their defaults.""",
@@ -250,8 +255,9 @@ def _type(schema: dict[str, Any]) -> str:
         least, most = _counts(schema)
         count = f"{most} " if least == most != 0 else ""
         inner = _inner(schema)
-        plural = PLURAL.get(inner.get("type", "any"), "")
-        return f"list of {count}{_type(inner).replace('list', 'lists')}{plural}"
+        kinds = [kind for kind in inner.get("anyOf", [inner]) if kind.get("type") != "null"]
+        named = (_type(kind).replace("list", "lists") + PLURAL.get(kind.get("type", "any"), "") for kind in kinds)
+        return f"list of {count}{' or '.join(dict.fromkeys(named))}"
     return TYPES[schema.get("format", schema.get("type", "any"))]
 
 

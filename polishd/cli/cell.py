@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import logging
 import os
 from collections.abc import Mapping, Sequence
@@ -18,9 +17,10 @@ from rich.table import Table
 from polishd.config.cell import load_config
 from polishd.daemon.assembly import build_notifiers
 from polishd.daemon.notifications.notifications import try_out
-from polishd.model.errors import ConfigError, DeviceFault, LinkError
+from polishd.model.errors import DeviceFault, LinkError
 from polishd.plugin_loader import DECLARATIONS, load_cell, load_own, plugins_of
 from polishd.rendering.terminal import emit, key_table, outcome_tables, record_table, say, stderr, stdout
+from polishd.util.extras import require_extra
 from polishd.util.threads import run_loop
 from polishd.web.http.users import Role, UserFile, users_path
 from polishd.web.routes import serve
@@ -172,8 +172,7 @@ def opcua_verb(path: Path) -> None:
     if config.opcua is None:
         raise config.error("opcua", "is missing: OPC UA clients need this machine's identity; add [opcua]: "
                            "docs/how-to/plant-systems.md")  # fmt: skip
-    if importlib.util.find_spec("asyncua") is None:
-        raise ConfigError("polishd opcua needs asyncua, which is not installed: pip install 'polishd[opcua]'")
+    require_extra("polishd opcua", "opcua")
     from polishd.opcua.server import ADDRESS, serve
 
     os.nice(NICE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ import typer
 from polishd.daemon.runtime.exit_record import locked
 from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.rendering.terminal import emit, record_table, stderr, stdout
+from polishd.util.extras import require_extra
 
 INI = "[pytest]\nasyncio_default_fixture_loop_scope = function\nfilterwarnings = default\n"
 KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
@@ -37,8 +37,7 @@ def hil_verb(
 
     With ``as_json`` text for people goes to stderr.
     """
-    if importlib.util.find_spec("pytest") is None or importlib.util.find_spec("pytest_asyncio") is None:
-        raise ConfigError("polishd hil needs pytest: pip install 'polishd[testing]'; nothing was opened")
+    require_extra("polishd hil", "testing")
     from polishd.testing.hil_bench import SUITES, HilRequest, Level, foreseen
 
     names = tuple(filter(None, simulate.split(",")))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, WithJsonSchema, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from polishd.config.fields import ConfigSection, Positive, Range, Text, Texts, as_tuple
 from polishd.config.toml_loader import TomlDocument, did_you_mean, join_words
@@ -40,7 +40,7 @@ _ACTUATOR, _SPINDLE, _SENSOR = ActuatorTimes(), SpindleTimes(), SensorTimes()
 Unpowered = Literal["lifts", "stays", "presses"]
 WordOrder = Literal["high_first", "low_first"]
 Value = float | str
-Values = Annotated[tuple[Annotated[Value, WithJsonSchema({"type": "number"})], ...], BeforeValidator(as_tuple)]
+Values = Annotated[tuple[Value, ...], BeforeValidator(as_tuple)]
 Times = Annotated[float, Field(gt=0.0, le=120.0)]
 
 LEAST = {"u16": 0, "i16": -(1 << 15), "u32": 0, "i32": -(1 << 31), "bit": 0, "f32": -3.4e38}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from polishd.maps.map_files import (
 from polishd.maps.options import FigureOptions
 from polishd.model.errors import SurfaceError
 from polishd.rendering.terminal import emit, figure_table, json_line, key_table, record_table, say, stdout
+from polishd.util.extras import EXTRAS, missing_libraries
 
 SOFT = "; soft: longer than a third of the part"
 """Mark of a band with a soft end."""
@@ -137,14 +137,6 @@ def _band_words(band: Mapping[str, Any]) -> str:
 
 # ``polishd map formats``: formats that can be read and written here.
 
-EXTRAS = {
-    "fits": ("fits", "astropy"),
-    "gwy": ("gwy", "gwyfile"),
-    "tiff": ("tiff", "tifffile"),
-    "tail": ("tail", "SurfaceTopography"),
-}
-"""Readers that need an optional extra, and the module that it installs."""
-
 
 def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
     """All readers, in the order in which they are tried."""
@@ -159,8 +151,8 @@ def formats_verb(cell: Path | None = None, *, as_json: bool) -> None:
 
 def format_answer(reader: SurfaceReader) -> dict[str, Any]:
     """Abilities of a reader in this installation."""
-    extra, module = EXTRAS.get(reader.name, (None, None))
-    installed = module is None or find_spec(module) is not None
+    extra = reader.name if reader.name in EXTRAS else None  # a format that needs one has its name
+    installed = extra is None or not missing_libraries(extra)
     return {
         "name": reader.name,
         "suffixes": list(reader.suffixes),

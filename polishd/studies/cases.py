@@ -9,7 +9,7 @@ import platform
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +51,16 @@ def versions() -> Mapping[str, str]:
         "polishd": __version__,
         "python": platform.python_version(),
         "machine": platform.machine(),
-        **{name: version(name) for name in LIBRARIES},
+        **{name: _installed(name) for name in LIBRARIES},
     }
+
+
+def _installed(name: str) -> str:
+    """Return the version of a library; empty where it is not installed: numba is of an extra."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
 
 
 def made_of(*parts: tuple[Mapping[str, Any], Path]) -> str:

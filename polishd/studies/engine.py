@@ -25,6 +25,7 @@ from polishd.plugins.rnc_robot.gcode import jit
 from polishd.studies.case_runner import CaseRunner
 from polishd.studies.cases import Case, versions
 from polishd.util.array_stream import Message
+from polishd.util.extras import require_extra
 from polishd.util.worker_main import AnswerFunction
 from polishd.util.worker_process import WorkerLimit, WorkerProcess
 
@@ -217,12 +218,9 @@ class DaskCluster:
 
     def __init__(self, address: str) -> None:
         """Connect; workers may come later. ConfigError where Dask is not installed, or no scheduler answers."""
-        try:
-            from distributed import Client
-        except ImportError as error:
-            raise ConfigError(
-                "--scheduler: distributed is not installed. Install polishd[dask], or omit the option"
-            ) from error
+        require_extra("--scheduler", "dask")
+        from distributed import Client
+
         connect: Any = Client
         try:
             self._client = connect(address, timeout=ANSWER_S)

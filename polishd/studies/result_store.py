@@ -10,6 +10,7 @@ from typing import Any
 from polishd.model.errors import ConfigError
 from polishd.studies.cases import Case, versions
 from polishd.studies.engine import FinishedCase
+from polishd.util.extras import require_extra
 from polishd.util.files import require_writable, unwritable_message, whole_file, write_atomic
 
 JOURNAL = "cases.jsonl"
@@ -153,6 +154,7 @@ def _column(values: list[Any]) -> Any:
 def _of_table(path: Path) -> Iterator[tuple[str, Rows]]:
     if not path.exists():
         return
+    require_extra(str(path), "studies")
     import pyarrow as pa
     from pyarrow import parquet
 

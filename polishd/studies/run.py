@@ -28,6 +28,7 @@ from polishd.studies.options import StudyOptions
 from polishd.studies.result_store import ResultStore, Rows, make_folder, read_table
 from polishd.studies.spots import compute_spots, polish_evenly
 from polishd.studies.summary import summarise
+from polishd.util.extras import require_extra
 from polishd.util.files import write_atomic
 
 # A study of many cases, from its file to all rows: known cases are reused, the others are computed.
@@ -46,6 +47,8 @@ def run_cases(swept: SweepStudy, options: StudyOptions) -> StudyRows:
 
     ConfigError, ProgramError before any case is computed.
     """
+    if options.out is not None:
+        require_extra("The table of a study's cases (--out)", "studies")
     of_study = cases_of(swept)
     cases = of_study[: options.limit]
     first = swept.at(swept.points[0])

@@ -10,8 +10,14 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Iterable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+
+def has_compiler() -> bool:
+    """Return whether numba is installed (extra ``fast``); numpy and the interpreter give the same figures without."""
+    return find_spec("numba") is not None
 
 
 def compile_cached(function: Callable[..., Any], sources: Iterable[Path], **options: Any) -> Callable[..., Any]:

@@ -18,6 +18,7 @@ from starlette.types import ASGIApp
 from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.model.errors import PolishdError
+from polishd.util.extras import missing_message
 from polishd.web.api import MAPS, MOST_NUMBER, Api
 from polishd.web.http import server as door
 from polishd.web.http.certificates import Certificate
@@ -266,8 +267,7 @@ def _metrics(config: CellConfig) -> Iterator[ApiRoute]:
     try:
         from polishd.web.metrics import Metrics
     except ImportError as error:
-        raise config.error("web.metrics", "needs prometheus-client, which is not installed: pip install "
-                           "'polishd[metrics]', or leave it out") from error  # fmt: skip
+        raise config.error("web.metrics", missing_message("GET /metrics", "metrics") + ", or remove the key") from error
     metrics = Metrics(config)
     yield ApiRoute("GET", "/metrics", Role.WATCH, "figures for Prometheus", metrics.answer)
 

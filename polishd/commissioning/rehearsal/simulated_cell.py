@@ -20,6 +20,7 @@ from polishd.model.errors import ConfigError, DeviceFault, MapError
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import load_own
 from polishd.programs.make import own_program
+from polishd.util.serialization import toml
 
 MODULE = "polishd.sim_backends"
 END_S = 10.0
@@ -151,7 +152,7 @@ def with_values(text: str, sections: Mapping[str, Mapping[str, Any]]) -> str:
         key = re.match(r"(?:# )?(\w+)( *)= ", line)
         if key and (section, key[1]) in wanted:
             comment = re.search(r"\s+#[^\"]*$", line.removeprefix("# "))
-            lines.append(f"{key[1]}{key[2]}= {_toml(wanted.pop((section, key[1])))}{comment[0] if comment else ''}")
+            lines.append(f"{key[1]}{key[2]}= {toml(wanted.pop((section, key[1])))}{comment[0] if comment else ''}")
         else:
             lines.append(line)
     if wanted:
@@ -166,11 +167,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _toml(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else str(value)
-
-
 def _shipped(name: str) -> str:
-    return (resources.files("polishd.commissioning.rehearsal") / "demo_data" / name).read_text(encoding="utf-8")
+    """Return a file of the demo without its line for editors, whose path starts from `examples/`."""
+    text = (resources.files("polishd.commissioning.rehearsal") / "demo_data" / name).read_text(encoding="utf-8")
+    return re.sub(r"^#:schema .*\n", "", text)

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from polishd.daemon.journal.journal import JOURNAL_NAME
-from polishd.daemon.journal.store import EVENTS_RENAMED, SCHEMA_VERSION, require_sound
+from polishd.daemon.journal.store import SCHEMA_VERSION, require_sound, show_present_names
 from polishd.model.errors import ConfigError, JournalDamage, ToolStop
 from polishd.model.tolerance import LineResult, line_results, worst_line
 
@@ -144,12 +144,12 @@ def _require_sound(path: Path, error: Exception) -> None:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    """Return a read-only connection. Events of a journal from before release 1.0 have their present names."""
+    """Return a read-only connection. A journal from before release 1.0 is read with the present names."""
     connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)
     try:
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if 0 < version < SCHEMA_VERSION:
-            connection.execute(f"CREATE TEMP VIEW event AS SELECT {EVENTS_RENAMED} FROM main.event")  # noqa: S608 - constant names
+            show_present_names(connection)
     except BaseException:
         connection.close()
         raise

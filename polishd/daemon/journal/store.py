@@ -43,6 +43,7 @@ from polishd.daemon.runtime.memory import RESERVE
 from polishd.model.errors import ConfigError, JournalDamage, SafetyStop
 from polishd.model.surface import FloatArray
 from polishd.pipeline.records import Arrays, npz
+from polishd.plugin_loader import RENAMED as RENAMED_PLUGINS
 from polishd.util.files import make_folder, sync_folder, write_atomic
 
 # Tables of the journal, conversion of earlier formats, and complete copies.
@@ -193,8 +194,6 @@ _EVENTS = {
     "progress": "pass_progressed", "job_finished": "run_folder_completed",
 }  # fmt: skip
 _CASES = " ".join(f"WHEN '{old}' THEN '{new}'" for old, new in _EVENTS.items())
-EVENTS_RENAMED = f"id, job, at, cycle, CASE name {_CASES} ELSE name END AS name, data"
-"""Columns of the table of events of a format before 7, with the present names."""
 _EVENT_FIELDS = {"signal_wrong": ("leads_to", "action"), "touched_off": ("most_off_mm", "max_offset_mm")}
 
 
@@ -227,7 +226,24 @@ def _renamed_terms(terms: str) -> str:
         if key.endswith(".type"):
             value = RENAMED_TYPES.get(value, value)
         found[key] = value == "free" if old == "part.rim" else value
+    if "plugins.load" in found:
+        found["plugins.load"] = list(dict.fromkeys(RENAMED_PLUGINS.get(name, name) for name in found["plugins.load"]))
     return json.dumps(found, sort_keys=True)
+
+
+def show_present_names(connection: sqlite3.Connection) -> None:
+    """Lay views over the tables of a journal of a format before 7, which is open read-only: rows have present names.
+
+    ``main.TABLE`` still has the rows as they were written.
+    """
+    register_functions(connection)
+    changed = {"event": {"name": f"CASE name {_CASES} ELSE name END"}, "job": {"terms": "renamed_terms(terms)"}}
+    changed["job"]["outcome"] = changed.setdefault("queue", {})["verdict"] = "replace({}, 'put aside', 'set aside')"
+    for table, renamed in changed.items():
+        columns = [row[1] for row in connection.execute(f"PRAGMA main.table_info({table})")]
+        selected = ", ".join(f"{renamed[one].format(one)} AS {one}" if one in renamed else one for one in columns)
+        if columns:
+            connection.execute(f"CREATE TEMP VIEW {table} AS SELECT {selected} FROM main.{table}")  # noqa: S608
 
 
 FROM_6 = _with_new_names()

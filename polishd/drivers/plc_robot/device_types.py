@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Callable
 from functools import partial
@@ -19,6 +18,7 @@ from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Variables
 from polishd.drivers.transport.address import tcp_address
+from polishd.util.extras import require_extra
 from polishd.util.files import SecretPlace, require_private
 
 # The keys of ``[robot]`` with ``type = "plc_robot"``: docs/how-to/plc-robot.md.
@@ -55,8 +55,6 @@ class PlcRobotOptions(ConfigSection):
 # Build a closed robot from the options. Checks what they name and opens nothing.
 
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
-EXTRAS = {"opcua": "asyncua", "ads": "pyads", "ftp": "aioftp", "sftp": "asyncssh"}
-"""Extras of polishd, and the library of each."""
 
 
 def build(options: PlcRobotOptions, context: DeviceContext) -> PlcRobot:
@@ -85,14 +83,14 @@ def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceC
     table, silence_s = profile.variables, profile.silence_s
     match profile.link:
         case "opcua":
-            _require("opcua", f"profile {options.profile!r}")
+            require_extra(f"profile {options.profile!r}", "opcua")
             if not options.address.startswith("opc.tcp://"):
                 raise ConfigError(f"address {options.address!r}: opcua needs opc.tcp://host:port")
             password = read_secret(options.password, context.base_dir) if options.password is not None else ""
             papers = _papers(options, context.base_dir)
             return lambda: OpcUa(options.address, table, silence_s, options.user, password, papers=papers)
         case "ads":
-            _require("ads", f"profile {options.profile!r}")
+            require_extra(f"profile {options.profile!r}", "ads")
             host, netid, port = _ads_address(options.address)
             return lambda: Ads(host, netid, port, table, silence_s)
         case "modbus":
@@ -121,10 +119,10 @@ def _delivery(options: PlcRobotOptions, context: DeviceContext) -> Delivery:
         case "folder" if rest:
             return Folder((context.base_dir / rest).absolute())
         case "ftp":
-            _require("ftp", f"delivery {options.delivery!r}")
+            require_extra(f"delivery {options.delivery!r}", "ftp")
             return Ftp(_place(options, context, 21))
         case "sftp":
-            _require("sftp", f"delivery {options.delivery!r}")
+            require_extra(f"delivery {options.delivery!r}", "sftp")
             known_hosts = context.base_dir / Path(options.known_hosts).expanduser()
             if not known_hosts.is_file():
                 raise ConfigError(
@@ -153,11 +151,6 @@ def _ads_address(address: str) -> tuple[str, str, int]:
     if found is None or not all(int(part) < 256 for part in found["netid"].split(".")):
         raise ConfigError(f"address {address!r}: write ads://host/NETID:PORT, for example ads://plc/5.1.2.3.1.1:851")
     return found["host"], found["netid"], int(found["port"])
-
-
-def _require(extra: str, what: str) -> None:
-    if importlib.util.find_spec(EXTRAS[extra]) is None:
-        raise ConfigError(f"{what} needs {EXTRAS[extra]}, which is not installed. Run: pip install 'polishd[{extra}]'")
 
 
 DEVICE_TYPES = [

@@ -12,6 +12,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.removal.effect import Effect, SparseEffect
 from polishd.process.removal.spread_effect import SpreadEffect
+from polishd.util.jit import has_compiler
 
 COMPILED_BLOCKS = 10_000
 """Blocks from which compiled code, loaded in half a second, is faster."""
@@ -19,11 +20,16 @@ COMPILED_BLOCKS = 10_000
 
 def to_fast_float32(effect: SpreadEffect) -> Effect:
     """Return the effect with float32 products, accurate to about 1e-6 of the peak."""
-    if effect.n < COMPILED_BLOCKS:
+    if not is_compiled(effect):
         return effect.single()
     from polishd.process.removal.spread_effect_compiled import compiled_spread
 
     return compiled_spread(effect)
+
+
+def is_compiled(effect: SpreadEffect) -> bool:
+    """Return whether compiled code computes the float32 products: it is installed, and the effect is large."""
+    return effect.n >= COMPILED_BLOCKS and has_compiler()
 
 
 @dataclass(frozen=True, slots=True)

@@ -175,10 +175,13 @@ def _rows(journal: sqlite3.Connection, table: str) -> Iterator[Row]:
 
 
 def _digest(journal: sqlite3.Connection) -> tuple[str, dict[str, int]]:
-    """Return the SHA-256 of all rows (a line of JSON each, with the table's name first) and the number of rows."""
+    """Return the SHA-256 of all rows (a line of JSON each, with the table's name first) and the number of rows.
+
+    They count as they were written: a certificate of an earlier version has that hash.
+    """
     digest, counts = hashlib.sha256(), {}
     for table in TABLES:
-        rows = journal.execute(f"SELECT * FROM {table} ORDER BY {ORDER.get(table, 'id')}")  # noqa: S608
+        rows = journal.execute(f"SELECT * FROM main.{table} ORDER BY {ORDER.get(table, 'id')}")  # noqa: S608
         counts[table] = 0
         for row in rows:
             digest.update(json.dumps([table, *row], separators=(",", ":"), ensure_ascii=True).encode() + b"\n")

@@ -183,5 +183,7 @@ def test_a_missing_library_is_said_at_the_start(tmp_path: Path, monkeypatch: pyt
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell.write_text(cell.read_text().replace("[web] ", "[web]\nmetrics = true\n# "))
     monkeypatch.setitem(sys.modules, "polishd.web.metrics", None)
-    with pytest.raises(ConfigError, match=r"web.metrics: needs prometheus-client.*pip install 'polishd\[metrics\]'"):
+    with pytest.raises(
+        ConfigError, match=r"web.metrics: GET /metrics needs prometheus-client.*pip install 'polishd\[metrics\]'"
+    ):
         routes.application(load_config(cell))

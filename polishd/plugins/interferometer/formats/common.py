@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import DateFrom, FloatArray
 from polishd.process.metrology.conditioning import EARLIEST
+from polishd.util.extras import missing_message
 
 MOST_BYTES = 2**30
 """No map of a camera is larger."""
@@ -152,11 +153,11 @@ def parsing(path: Path, library: str) -> Iterator[None]:
 
 
 def extra(path: Path, module: str, name: str) -> Any:
-    """The module of an optional extra; BadMap with the command that installs it where it is not there."""
+    """Import a module of an optional extra. Raise MapError with the command that installs it where it is missing."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MapError(f"{path}: needs the extra: pip install 'polishd[{name}]' ({error})") from error
+        raise MapError(f"{path}: {missing_message(f'the format {name}', name)} ({error})") from error
 
 
 # Units of heights and pitches, and warnings about a map whose file does not state them.

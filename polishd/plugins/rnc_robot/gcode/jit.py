@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.plugins.rnc_robot.gcode import kernels, scanner
-from polishd.util.jit import compile_cached, no_refcount_option
+from polishd.util.jit import compile_cached, has_compiler, no_refcount_option
 
 LARGE_BYTES = 100_000
 """From here on compiled code, loaded in 0.2 s, is the quicker way."""
@@ -21,7 +21,7 @@ _ENTRIES = ("scan", "direct", "reciprocal", "splice")
 
 def kernel(function: Callable[..., Any], size: int) -> Callable[..., Any]:
     """The function, compiled where it is to work on so many bytes."""
-    return function if size < LARGE_BYTES else _compiled(function)
+    return _compiled(function) if size >= LARGE_BYTES and has_compiler() else function
 
 
 def compile_always() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +75,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path, options: dict[str, str], said
 def test_a_library_that_is_missing_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict[str, str], library: str, extra: str
 ) -> None:
-    found = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *more: None if name == library else found(name, *more)
-    )
+    monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ConfigError, match=rf"needs {library}, .* pip install 'polishd\[{extra}\]'"):
         built(tmp_path, **options)
 

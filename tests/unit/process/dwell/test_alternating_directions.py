@@ -13,7 +13,7 @@ from polishd.model.dwell import WarmStart
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.plugins.dwell_solvers import solve_auto
-from polishd.process.dwell import alternating_directions, newton_cg
+from polishd.process.dwell import alternating_directions, alternating_step, newton_cg
 from polishd.process.dwell.lower_bound import prove_lower_bound
 from polishd.process.dwell.problem import DwellProblem, negligible_share, without_traces
 from polishd.process.dwell.quadratic import quadratic, regularisation_from_rho
@@ -88,7 +88,7 @@ def test_where_steps_lead_nowhere_projected_newton_goes_on(monkeypatch: pytest.M
 def test_too_weak_a_pull_is_noticed_and_too_strong_a_one_only_takes_longer(
     pull: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(alternating_directions, "PULL", pull)
+    monkeypatch.setattr(alternating_step, "PULL", pull)
     found = alternating_directions.solve(problem(), 120.0, 1e-5, 0.0).certificate
     assert (found.solver, found.stopped) == (alternating_directions.NAME, "converged")
 

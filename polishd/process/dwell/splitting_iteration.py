@@ -1,0 +1,143 @@
+"""The iteration of `douglas_rachford`: its problem in two parts, and the way by numpy that needs no compiler."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+RELAXATION = 1.9
+
+Array = NDArray[Any]
+
+
+@dataclass(slots=True)
+class SplitProblem:
+    """The problem in two parts, and the iterate. Of (ny, nx) a field is as its `Iteration` keeps it."""
+
+    spectra: Array
+    """(k, ny, nx // 2 + 1) K_k, times the balance."""
+    coefficient: Array
+    """(k, ny, nx) c_k on the domain; 0 where no dwell point lies."""
+    pull: Array
+    """(ny, nx) misfit's curvature of a sample, ``2 weight / N_r``; 0 where none counts."""
+    target: Array
+    """(ny, nx) removal wanted; 0 where no sample counts."""
+    bounds: tuple[Array, Array]
+    """(ny, nx) least and most dwell."""
+    regularisation: float
+    price: float
+    rho: float
+    """Step parameter of y."""
+    mu: float
+    """Step parameter of w."""
+    y: Array
+    """(ny, nx) the iterate; with w it is what a warm start needs."""
+    w: Array
+    """(k, ny, nx)."""
+    dwell: Array
+    """(ny, nx) t of the last iteration: within the bounds, whenever one stops."""
+
+    @property
+    def rank(self) -> int:
+        """Number of convolutions."""
+        return len(self.spectra)
+
+
+class Iteration(Protocol):
+    """A way to compute it, and how it likes its fields to be kept."""
+
+    def kept(self, field: Array) -> Array:
+        """(..., ny, nx) as it is kept."""
+
+    def shown(self, field: Array) -> Array:
+        """The way back."""
+
+    def begin(self, work: SplitProblem) -> None:
+        """Make ready: the step parameters or the iterate are other ones."""
+
+    def advance(self, work: SplitProblem) -> None:
+        """One iteration: y, w and dwell change in place."""
+
+
+class NumpyIteration:
+    """By scipy's transforms, in either precision, fields as they are."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._fixed: dict[str, Array] = {}
+
+    def kept(self, field: Array) -> Array:
+        """See Iteration."""
+        return field
+
+    def shown(self, field: Array) -> Array:
+        """See Iteration."""
+        return field
+
+    def begin(self, work: SplitProblem) -> None:
+        """See Iteration."""
+        real = work.y.dtype.type
+        kept, firm = misfit_share(work), firmness(work)
+        strength = (np.abs(work.spectra.astype(np.complex128)) ** 2).sum(axis=0)
+        self._fixed = {
+            "gain": (1 / (1 + strength * (work.rho / work.mu))).astype(real),
+            "back": (work.spectra.conj() * (work.rho / work.mu)).astype(work.spectra.dtype),
+            "y_keep": (1 - RELAXATION * kept).astype(real),
+            "y_change": (RELAXATION * (2 * kept - 1)).astype(real),
+            "y_add": (RELAXATION * kept * work.target).astype(real),
+            "t_gain": (work.mu * firm * work.coefficient).astype(real),
+            "t_price": (work.price * firm).astype(real),
+            "scratch": np.empty_like(work.dwell),
+        }
+
+    def advance(self, work: SplitProblem) -> None:
+        """See Iteration."""
+        fixed, ranks = self._fixed, range(work.rank)
+        spectrum = fft.rfft2(work.y)
+        for response, w in zip(work.spectra, work.w, strict=True):
+            part = fft.rfft2(w)
+            part *= response
+            spectrum -= part
+        spectrum *= fixed["gain"]
+        moved = [fft.irfft2(kernel * spectrum, self._size, overwrite_x=True) for kernel in fixed["back"]]
+        met = [w + change for w, change in zip(work.w, moved, strict=True)]  # with y they fulfil y = sum K w
+        for k in ranks:
+            moved[k] += met[k]  # the reflection
+        self._dwell_nearest_to(moved, work)
+        for k in ranks:
+            np.multiply(work.dwell, work.coefficient[k], out=moved[k])
+            moved[k] -= met[k]
+            moved[k] *= RELAXATION
+            work.w[k] += moved[k]
+        change = fft.irfft2(spectrum, self._size, overwrite_x=True)
+        change *= fixed["y_change"]
+        work.y *= fixed["y_keep"]
+        work.y += change
+        work.y += fixed["y_add"]
+
+    def _dwell_nearest_to(self, wanted: list[Array], work: SplitProblem) -> None:
+        """The dwell within its bounds, point by point, where each w's (ny, nx), regularisation and price agree."""
+        gain, scratch = self._fixed["t_gain"], self._fixed["scratch"]
+        np.multiply(wanted[0], gain[0], out=work.dwell)
+        for k in range(1, work.rank):
+            np.multiply(wanted[k], gain[k], out=scratch)
+            work.dwell += scratch
+        if work.price:
+            work.dwell -= self._fixed["t_price"]
+        np.clip(work.dwell, *work.bounds, out=work.dwell)
+
+
+def misfit_share(work: SplitProblem) -> Array:
+    """The misfit's share in a sample's step."""
+    pull = work.pull.astype(np.float64)
+    return np.asarray(pull / (pull + work.rho))
+
+
+def firmness(work: SplitProblem) -> Array:
+    """One over the curvature in each point's dwell; 0 where none lies."""
+    square = (work.coefficient.astype(np.float64) ** 2).sum(axis=0)
+    return np.asarray(1 / np.where(square > 0, 2 * work.regularisation + work.mu * square, np.inf))

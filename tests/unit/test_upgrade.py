@@ -1,0 +1,168 @@
+"""docs/how-to/upgrade.md: what version 0.1 left is read as it is, converted without a loss; its files name new keys."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import sqlite3
+import tarfile
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from polishd.config.cell import load_config
+from polishd.config.instrument_profile import load_profile
+from polishd.daemon.job.initial_estimates import journalled_estimates
+from polishd.daemon.journal.history import read_events, read_history, read_only
+from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME, Journal
+from polishd.daemon.journal.store import SCHEMA_VERSION, old_copy
+from polishd.daemon.runtime.exit_record import last_ending
+from polishd.model.errors import ConfigError
+from polishd.plugins.interferometer.map_files import TakenMaps
+from polishd.reports.certificate.sources import read_rows
+from tests.unit.said import Polishd
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "how-to" / "upgrade.md").read_text()
+TABLES = ("job", "map", "phase", "pass", "segment", "event", "queue")
+RENAMED = re.compile(r"\.toml:(\d+): (\S+): was renamed: write (\S+)")
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """The cell of version 0.1."""
+    with tarfile.open(ROOT / "tests" / "data" / "cell_0_1.tar.xz") as packed:
+        packed.extractall(tmp_path, filter="data")
+    return tmp_path / "cell_0_1"
+
+
+def counts(path: Path) -> dict[str, int]:
+    with closing(sqlite3.connect(path)) as journal:
+        return {table: journal.execute(f"SELECT count(*) FROM {table}").fetchone()[0] for table in TABLES}
+
+
+def with_new_names(text: str, error: str) -> str:
+    """The file with each key written as the error says."""
+    lines = text.splitlines()
+    for number, old_key, new in RENAMED.findall(error):
+        before, after = old_key.rpartition(".")[2], new.rpartition(".")[2]
+        line = lines[int(number) - 1]
+        line = re.sub(rf"^(\[?)(?:{re.escape(before)})\b", rf"\g<1>{after}", line)
+        lines[int(number) - 1] = line.replace('"ring"', "false") if after == "free_edge" else line
+    return "\n".join(lines) + "\n"
+
+
+def new_cell(old: Path) -> Path:
+    """The old cell's file after the steps of the page."""
+    path = old / "cell.toml"
+    with pytest.raises(ConfigError) as refused:
+        load_config(path)
+    text = with_new_names(path.read_text(), str(refused.value))
+    example = (ROOT / "examples" / "cell.toml").read_text()
+    section = re.compile(r"^\[spindle\]\n(?:(?!\[).*\n)+", re.MULTILINE)
+    found = section.search(example)
+    assert found is not None
+    text = section.sub(lambda _: found.group(), text)
+    text = text.replace('"spindle", ', '"devices", ').replace("plan_guard", "plan_checks")
+    path.write_text(text)
+    (old / "drive.eds").write_bytes((ROOT / "examples" / "drive.eds").read_bytes())
+    return path
+
+
+def test_a_cell_file_is_refused_with_all_new_names_at_once_and_loads_with_them(old: Path) -> None:
+    path = old / "cell.toml"
+    with pytest.raises(ConfigError) as refused:
+        load_config(path)
+    keys = {key for _, key, _ in RENAMED.findall(str(refused.value))}
+    assert {"part.rim", "dwell.within_s", "dwell.choose", "between", "memory", "job.lookahead_s"} <= keys
+    assert load_config(new_cell(old)).cell.name == "bench-cell"
+
+
+def test_each_name_of_the_page_is_refused_with_its_new_name(old: Path) -> None:
+    """The table of the page is that of the code, but for keys of the simulator, profiles and studies."""
+    from polishd.config.renamed_keys import renamed_key
+
+    listed = re.findall(r"^\| `([\w.]+)` \| `([\w.]+)`", PAGE, re.MULTILINE)
+    assert len(listed) > 20
+    for before, after in listed:
+        found = before
+        for _ in range(2):
+            root, dot, rest = found.partition(".")
+            found = f"{renamed_key(root) or root}{dot}{rest}"
+            if new := renamed_key(found):
+                new = new.partition(" ")[0]
+                found = new if "." in new or "." not in found else f"{found.rpartition('.')[0]}.{new}"
+        assert found == after, before
+
+
+def test_its_journal_is_read_without_a_change(old: Path) -> None:
+    path = old / "state" / JOURNAL_NAME
+    before = hashlib.sha256(path.read_bytes()).hexdigest()
+    (job,) = read_history(old / "state")
+    assert (job.job, job.part_id, job.outcome) == ("demo", "DEMO-100", "in_tolerance")
+    assert [each.rms_nm for each in job.measured] == pytest.approx([6.18, 0.71, 0.94], abs=0.01)
+    names = {event["name"] for event in read_events(old / "state", 1000)}
+    assert {"pass_started", "map_measured", "estimates_updated"} <= names
+    assert not {"pass_begun", "measured", "learned"} & names
+    with read_only(old / "state") as journal:
+        found = list(journalled_estimates(lambda sql, values=(): journal.execute(sql, values).fetchall()))
+        terms = json.loads(journal.execute("SELECT terms FROM job").fetchone()[0])
+    assert len(found) == 2
+    assert terms["dwell.objective"] == "least"
+    assert terms["plugins.load"] == [
+        "rnc_robot", "voice_coil", "devices", "interferometer", "removal_models", "dwell_solvers", "plan_checks",
+        "run_report",
+    ]  # fmt: skip
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == before
+
+
+def test_its_journal_is_converted_without_a_loss_and_kept(old: Path) -> None:
+    path = old / "state" / JOURNAL_NAME
+    before = counts(path)
+    Journal.open(old / "state", job="next", part_id="P-1").close()
+    with closing(sqlite3.connect(path)) as journal:
+        assert journal.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,)
+        arrays = [row[0] for row in journal.execute("SELECT arrays FROM map")]
+    assert counts(path) == {**before, "job": before["job"] + 1}
+    assert counts(old_copy(path, 5)) == before
+    assert arrays
+    assert all((old / "state" / ARRAYS_NAME / f"{name}.npz").exists() for name in arrays)
+    assert read_history(old / "state")[0].outcome == "in_tolerance"
+
+
+def test_the_other_files_of_its_state_folder_are_read(old: Path) -> None:
+    ending = last_ending(old / "state")
+    assert (ending["state"], ending["tool_off"], ending["robot_at_rest"]) == ("in_tolerance", "yes", "yes")
+    taken = TakenMaps(old / "state" / "maps_taken.json", old / "no folder")
+    taken.load()
+    with closing(sqlite3.connect(old / "state" / JOURNAL_NAME)) as journal:
+        maps = [row[0] for row in journal.execute("SELECT sha256 FROM map")]
+    assert len(maps) == 3
+    assert taken.any
+
+
+def test_its_run_folder_is_certified_and_its_certificate_verified(old: Path, polishd: Polishd) -> None:
+    rows = read_rows(old / "run")
+    assert json.loads((old / "certificate.json").read_text())["journal"]["sha256"] == rows.sha256
+    said = polishd("report", "verify", old / "certificate.json")
+    assert "is unchanged: its checksum is right" in said.out
+    said = polishd("report", "certificate", old / "run", "--out", old / "anew.pdf")
+    assert said.code == 0, said.err
+    assert "In tolerance: 1 of 1 lines hold" in said.out
+    assert not said.err
+
+
+def test_a_cell_with_that_state_folder_has_its_history_and_estimates(old: Path, polishd: Polishd) -> None:
+    cell = new_cell(old)
+    said = polishd("history", cell, "--json")
+    assert [job["outcome"] for job in said.answer["jobs"]] == ["in_tolerance"]
+    assert "in_tolerance" in polishd("status", cell).out
+    assert "1.068" in polishd("estimates", cell).out
+
+
+def test_a_commissioned_profile_stays_commissioned(old: Path) -> None:
+    profile = load_profile(old / "instrument.toml")
+    assert profile.unproved == ""
+    assert profile.instrument.commissioned is not None
