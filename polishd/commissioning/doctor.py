@@ -39,8 +39,6 @@ STATES: tuple[State, ...] = ("ok", "warning", "problem")
 VersionOf = Callable[[str], str | None]
 """Return the version of an installed distribution, None without it."""
 COLUMNS = ("check", "state", "found", "what to do")
-TESTED = (3, 13)
-"""Newest Python that the tests run on."""
 COARSEST_S = 1e-3
 """Largest resolution of the monotonic clock that the time limits of contact allow."""
 UNSYNCHRONIZED = 5
@@ -99,7 +97,7 @@ def examine(cell: Path | None) -> list[DoctorRow]:
     with loop_first() as granted:
         pass
     return [
-        *software_rows(own.metadata["Requires-Python"] or ""),
+        *software_rows(own.metadata["Requires-Python"] or "", own.metadata.get_all("Classifier") or ()),
         *dependency_rows(own.requires or (), installed_version),
         *extra_rows(own.requires or (), installed_version, needed),
         serial_row([port.device for port in list_ports.comports() if port.hwid != "n/a"], os.getgroups()),
@@ -130,13 +128,12 @@ def installed_version(name: str) -> str | None:
         return None
 
 
-def software_rows(requires_python: str) -> Iterator[DoctorRow]:
-    """Yield Python's row and polishd's."""
+def software_rows(requires_python: str, classifiers: Iterable[str]) -> Iterator[DoctorRow]:
+    """Yield Python's row and polishd's. The tests run on each Python of the classifiers."""
+    tested = max(Version(each) for text in classifiers for each in re.findall(r"Python :: (3\.\d+)$", text))
     found = f"{platform.python_version()} ({sys.executable})"
-    if sys.version_info[:2] > TESTED:
-        yield DoctorRow(
-            "Python", "warning", f"{found}; newer than the tested ones", f"Use Python {TESTED[0]}.{TESTED[1]}"
-        )
+    if sys.version_info[:2] > tested.release:
+        yield DoctorRow("Python", "warning", f"{found}; newer than the tested ones", f"Use Python {tested}")
     else:
         yield DoctorRow("Python", "ok", f"{found}; {requires_python} is needed")
     yield DoctorRow("polishd", "ok", f"{installed_version('polishd')} ({Path(__file__).parents[1]})")
@@ -169,9 +166,9 @@ def dependency_rows(requires: Sequence[str], version_of: VersionOf) -> Iterator[
 
 
 def extra_rows(requires: Sequence[str], version_of: VersionOf, needed: Iterable[str] = ()) -> Iterator[DoctorRow]:
-    """Yield a row for each extra; a missing one is a problem only if the cell needs it."""
+    """Yield a row for each extra but ``all``; a missing one is a problem only if the cell needs it."""
     extras = {name for text in requires for name in re.findall(r"extra == ['\"]([^'\"]+)", text)}
-    for extra in sorted(extras):
+    for extra in sorted(extras - {"all"}):
         parts = _of_extra(requires, extra)
         missing = [one for one in parts if not _fits(one, version_of(one.name))]
         install = f"pip install 'polishd[{extra}]'"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -46,12 +47,15 @@ def test_the_own_installation_is_whole() -> None:
     rows = {row.check: row for row in doctor.examine(None)}
     assert rows["dependencies"].state == "ok"
     assert "extra opcua" in rows
+    assert "extra all" not in rows
 
 
-def test_a_python_newer_than_the_tested_ones_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert states(doctor.software_rows(">=3.11"))["Python"] == "ok"
-    monkeypatch.setattr(doctor, "TESTED", (3, 10))
-    assert states(doctor.software_rows(">=3.11"))["Python"] == "warning"
+def test_a_python_newer_than_the_tested_ones_is_a_warning() -> None:
+    python = "Programming Language :: Python :: "
+    this = f"{python}{sys.version_info.major}.{sys.version_info.minor}"
+    assert states(doctor.software_rows(">=3.11", [f"{python}3 :: Only", f"{python}3.9", this]))["Python"] == "ok"
+    (row, _) = doctor.software_rows(">=3.9", [f"{python}3 :: Only", f"{python}3.9", f"{python}3.10"])
+    assert (row.state, row.todo) == ("warning", "Use Python 3.10")
 
 
 def test_serial_ports_need_their_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
