@@ -68,7 +68,7 @@ def _tables(*names: str) -> Callable[[Any, str], Iterable[str]]:
 
 def _jobs(ctx: Any, incomplete: str) -> Iterator[str]:
     """Yield the jobs of the queue and of the journal of the cell before it in the command line."""
-    from polishd.config.cell_summary import cell_summary
+    from polishd.cli.status import cell_summary
     from polishd.daemon.journal.history import read_only
 
     with read_only(cell_summary(_cell_of(ctx)).state_dir) as journal:
