@@ -158,7 +158,7 @@ def test_a_study_counts_a_missing_numba_as_a_version(monkeypatch: Patch) -> None
 
 
 def test_the_solvers_load_numba_only_when_a_problem_is_large() -> None:
-    """Half a second of each start that small parts and most verbs do not need."""
+    """A start without what small parts and most verbs do not need."""
     code = "import sys, polishd.plugins.dwell_solvers, polishd.plugins.rnc_robot; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
