@@ -146,9 +146,9 @@ def test_the_other_files_of_its_state_folder_are_read(old: Path) -> None:
 def test_its_run_folder_is_certified_and_its_certificate_verified(old: Path, polishd: Polishd) -> None:
     rows = read_rows(old / "run")
     assert json.loads((old / "certificate.json").read_text())["journal"]["sha256"] == rows.sha256
-    said = polishd("report", "verify", old / "certificate.json")
+    said = polishd("certificate", "verify", old / "certificate.json")
     assert "is unchanged: its checksum is right" in said.out
-    said = polishd("report", "certificate", old / "run", "--out", old / "anew.pdf")
+    said = polishd("certificate", "make", old / "run", "--out", old / "anew.pdf")
     assert said.code == 0, said.err
     assert "In tolerance: 1 of 1 lines hold" in said.out
     assert not said.err
@@ -159,7 +159,7 @@ def test_a_cell_with_that_state_folder_has_its_history_and_estimates(old: Path, 
     said = polishd("history", cell, "--json")
     assert [job["outcome"] for job in said.answer["jobs"]] == ["in_tolerance"]
     assert "in_tolerance" in polishd("status", cell).out
-    assert "1.068" in polishd("estimates", cell).out
+    assert "1.068" in polishd("estimates", "show", cell).out
 
 
 def test_a_commissioned_profile_stays_commissioned(old: Path) -> None:
