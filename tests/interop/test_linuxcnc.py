@@ -78,7 +78,7 @@ def works_the_voice_coil(running: Cell, ini: Path) -> None:
         run.say(mb2hal(running, "actuator", COIL, ini))
         run.set("mb2hal.asked.01.int", 5000)
         run.set("mb2hal.asked.00.int", 1200)
-        run.set("mb2hal.beat.00.int", 41)
+        run.set("mb2hal.heartbeat.00.int", 41)
         run.set("mb2hal.command.00.int", 1)
 
         def pressed() -> bool:

@@ -87,7 +87,7 @@ def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None
     cell = SENSOR.format(**PATIENT) + MONITOR.format(action="lift")
     with watched_cell(tmp_path / "cell", cell, sim) as files:
         checked = json.loads(polishd("check", str(files.cell), "--json").stdout)
-        assert "force_sensor's: at most 1.5 N apart" in checked["force"]
+        assert "force_sensor: at most 1.5 N apart" in checked["force"]
         assert "guard_closed of monitor: before contact on" in checked["signals"]
         assert {"force_sensor.silence_s", "force_sensor.alarm_delay_s"} < {row["key"] for row in checked["time limits"]}
         probed = json.loads(polishd("probe", str(files.cell), "--json").stdout)

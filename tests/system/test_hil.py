@@ -39,7 +39,7 @@ def counted(output: str) -> dict[str, int]:
 def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
     done = hil(Path(shutil.copy(ROOT / "examples" / "cell.toml", tmp_path)))
     assert done.returncode == 3
-    assert "--yes goes on without asking. Nothing was opened" in done.stderr
+    assert "use --yes to continue without it. Nothing was opened" in done.stderr
     assert "REAL, robot_link tcp://" in done.stdout
 
 
@@ -59,7 +59,7 @@ def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Pat
     assert {one.way for one in found.passed} == {"open", "out", "in", "end"}
     again = hil(files.cell, "--yes", "--record", str(case))
     assert again.returncode == 3
-    assert "exists already; name another file, or a folder" in again.stderr
+    assert "exists already. Name another file or a folder" in again.stderr
 
 
 @pytest.mark.full

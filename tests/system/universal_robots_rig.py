@@ -29,7 +29,7 @@ SAFE_Z_MM = 20.0
 def write_files(out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **job: Any) -> DemoFiles:
     """The demo's files with a small part, that robot, and a program with a dwell at each point.
 
-    ``cut_s``: the robot's links are cut every so often.
+    ``cut_s``: the robot's link is cut that long after the tool lands.
     """
     files = write_small(out, **job)
     take(files, watchdog_s=watchdog_s, cut_s=cut_s)
@@ -46,7 +46,7 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0, cycl
     cell = cell.replace('format = "rs274"', 'format = "urscript"')
     files.cell.write_text(cell)
     sim = with_keys(files.sim.read_text(), {"robot": {"cycle_hz": cycle_hz}})
-    cut = {"device": "robot", "link": "rtde", "what": "unplug", "every_s": cut_s}
+    cut = {"device": "robot", "link": "rtde", "what": "unplug", "contact_s": cut_s}
     files.sim.write_text(with_faults(sim, *([cut] if cut_s else [])))
 
 

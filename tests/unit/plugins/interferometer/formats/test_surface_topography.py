@@ -127,7 +127,7 @@ def test_pixels_that_are_not_square_have_no_pitch(tmp_path: Path, library: Path)
     ("body", "said"),
     [
         ("raise ValueError('corrupt')", "cannot read it: corrupt"),
-        ("import os; os._exit(3)", "ended with 3"),
+        ("import os; os._exit(3)", "ended with exit code 3"),
         ("import os; os.abort()", "was ended by SIGABRT"),
         ("import a_missing_one", "No module named 'a_missing_one'"),
         ("bytearray(2**40)", "MemoryError"),
