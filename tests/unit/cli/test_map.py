@@ -134,13 +134,14 @@ def test_formats_are_those_of_the_plugin(polishd: Polishd) -> None:
 def test_what_needs_an_extra_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     reader = readers_for()["gwy"]
     assert format_answer(reader)["extra"] == "gwy"
-    monkeypatch.setattr("polishd.maps.inspect.find_spec", lambda _: None)
+    monkeypatch.setattr("polishd.util.extras.find_spec", lambda _: None)
     answer = format_answer(reader)
     assert (answer["installed"], answer["reads"], answer["writes"]) == (False, False, False)
 
 
-def test_extras_are_of_readers_that_there_are() -> None:
-    assert set(EXTRAS) <= set(readers_for())
+def test_extras_of_readers_are_extras_of_the_installation() -> None:
+    named = {answer["extra"] for answer in map(format_answer, readers_for().values())} - {None}
+    assert {"fits", "gwy", "tiff"} <= named <= set(EXTRAS)
 
 
 @pytest.mark.full

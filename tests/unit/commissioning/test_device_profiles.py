@@ -98,7 +98,7 @@ def test_a_broken_profile_is_told_with_its_place(polishd: Polishd, tmp_path: Pat
     (tmp_path / "mine.toml").write_text(file_of("line_drive.toml").read_text().replace("max_force_n", "max_farce_n"))
     said = polishd("device", "check", tmp_path / "mine.toml")
     assert said.code == 3
-    assert "mine.toml:14: actuator.max_farce_n: unknown key; did you mean 'max_force_n'?" in said.err
+    assert "mine.toml:15: actuator.max_farce_n: unknown key; did you mean 'max_force_n'?" in said.err
 
 
 def test_find_where_nobody_is(polishd: Polishd) -> None:
