@@ -19,9 +19,9 @@ async def test_it_takes_programs_and_refuses_strangers(tmp_path: Path) -> None:
         port = peer.greeting["port"]
         known.write_text(f"[127.0.0.1]:{port} {peer.greeting['key']}\n")
         await takes_programs(Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder)
-        await refuses(Sftp(RemoteFolder("127.0.0.1", port, USER, "other", "nc"), known), folder, "cannot be put there")
+        await refuses(Sftp(RemoteFolder("127.0.0.1", port, USER, "other", "nc"), known), folder, "cannot be delivered")
         await refuses(
-            Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "none"), known), folder, "cannot be put there"
+            Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "none"), known), folder, "cannot be delivered"
         )
         known.write_text("")
-        await refuses(Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder, "cannot be put there")
+        await refuses(Sftp(RemoteFolder("127.0.0.1", port, USER, PASSWORD, "nc"), known), folder, "cannot be delivered")

@@ -17,7 +17,7 @@ async def test_it_takes_programs_and_refuses_strangers(tmp_path: Path) -> None:
         await takes_programs(Ftp(RemoteFolder("127.0.0.1", peer.greeting, USER, PASSWORD, "")), tmp_path)
         (tmp_path / "nc").mkdir()
         await takes_programs(Ftp(RemoteFolder("127.0.0.1", peer.greeting, USER, PASSWORD, "nc")), tmp_path / "nc")
-        await refuses(Ftp(RemoteFolder("127.0.0.1", peer.greeting, USER, "other", "")), tmp_path, "cannot be put there")
+        await refuses(Ftp(RemoteFolder("127.0.0.1", peer.greeting, USER, "other", "")), tmp_path, "cannot be delivered")
         await refuses(
-            Ftp(RemoteFolder("127.0.0.1", peer.greeting, USER, PASSWORD, "none")), tmp_path, "cannot be put there"
+            Ftp(RemoteFolder("127.0.0.1", peer.greeting, USER, PASSWORD, "none")), tmp_path, "cannot be delivered"
         )

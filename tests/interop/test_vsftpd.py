@@ -77,7 +77,7 @@ def folder() -> Iterator[Path]:
 async def test_it_takes_programs_and_refuses_a_folder_without_write_permission(folder: Path) -> None:
     with server(folder) as port:
         await takes_programs(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "nc")), folder / "root" / "nc")
-        await refuses(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "")), folder / "root", "cannot be put there")
+        await refuses(Ftp(RemoteFolder("127.0.0.1", port, "ftp", "robot", "")), folder / "root", "cannot be delivered")
         await refuses(
-            Ftp(RemoteFolder("127.0.0.1", port, "root", "wrong", "nc")), folder / "root" / "nc", "cannot be put"
+            Ftp(RemoteFolder("127.0.0.1", port, "root", "wrong", "nc")), folder / "root" / "nc", "cannot be delivered"
         )
