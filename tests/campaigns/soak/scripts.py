@@ -73,9 +73,9 @@ def late(device: str, jitter_s: float, rate: float, by_s: float) -> tuple[Mappin
     return ({**delay, "rate": 1.0, "jitter_s": jitter_s}, much) if jitter_s else (much,)
 
 
-IN_THE_WAY = "drive the robot away"
+IN_THE_WAY = "the loader must not move below it"
 GATE = Visit("the queue stopped: instrument or alignment is wrong")
-TOOL = Visit("the queue stopped: .*(the tool would remove otherwise|removal rate|instrument or alignment is wrong)")
+TOOL = Visit("the queue stopped: .*(the removal from the next part would differ|removal rate|instrument or alignment is wrong)")
 AWAY = Visit(IN_THE_WAY)
 
 
