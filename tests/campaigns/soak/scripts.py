@@ -75,7 +75,7 @@ def late(device: str, jitter_s: float, rate: float, by_s: float) -> tuple[Mappin
 
 IN_THE_WAY = "the loader must not move below it"
 GATE = Visit("the queue stopped: instrument or alignment is wrong")
-TOOL = Visit("the queue stopped: .*(the removal from the next part would differ|removal rate|instrument or alignment is wrong)")
+TOOL = Visit("the queue stopped: .*(from the next part would differ|removal rate|instrument or alignment is wrong)")
 AWAY = Visit(IN_THE_WAY)
 
 
