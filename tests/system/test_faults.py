@@ -51,6 +51,8 @@ def require_off_the_part(files: DemoFiles) -> None:
         )
         if events(files, "motion_stopped")[-1].get("detail") == "lift":  # the robot took the tool off itself
             assert last["motion_started"] < last["contact_lost"] < last["tool_lifted"], log[-12:]
+        elif events(files, "motion_stopped")[-1].get("detail") == "until":  # the pass ended before the fault
+            assert last["motion_stopped"] < last["force_zero"] < last["tool_lifted"], log[-12:]
         else:
             require_safe_order(events(files))
 
