@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,11 @@ class Said:
         """The JSON on stdout of a call that went well."""
         assert self.code == 0, self.err
         return json.loads(self.out)
+
+
+def unwrapped(table: str) -> str:
+    """Return the words of a printed table without its borders: where a cell breaks depends on its figures."""
+    return " ".join(re.sub("[─-╿]", " ", table).split())
 
 
 Polishd = Callable[..., Said]
