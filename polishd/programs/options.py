@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
-Encoding = Literal["feed", "inverse", "dwell"]
-"""As model.program has it, which would import numpy."""
+EncodingOption = Literal["feed", "inverse", "dwell", "time", "wait"]
+"""As model.program has it, which would import numpy; ``wait`` is another name of ``dwell``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class MakeOptions:
         None
     )
     encoding: Annotated[
-        Encoding | None, Option(help="Where the time is written; default: dwell with --dwell, else feed.")
+        EncodingOption | None, Option(help="Where the time is written; default: dwell with --dwell, else feed.")
     ] = None
     dialect: Annotated[
         str | None, Option(metavar="NAME|D.toml", help="The dialect to write; default: the cell's, or rs274.")

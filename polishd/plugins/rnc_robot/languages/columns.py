@@ -6,6 +6,7 @@ import math
 from array import array
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -66,6 +67,59 @@ class PointColumns:
 
     def __len__(self) -> int:
         return len(self.time)
+
+
+class StatedBy(IntEnum):
+    """What states the time of a move."""
+
+    APPROACH = -1
+    """It is no feed move."""
+    UNKNOWN = 0
+    """No number."""
+    TIME = 1
+    """Seconds of its own."""
+    RATE = 2
+    """A speed of its own."""
+    MODAL = 3
+    """The speed that was set last."""
+    FIXED = 4
+    """The name of a speed, which is never rewritten."""
+
+
+@dataclass(slots=True)
+class MoveColumns:
+    """All motions in program order, m of them; 150 bytes each. Kept until a dwell shows that dwells carry the time."""
+
+    xyz_mm: array[float] = field(default_factory=lambda: array("d"))
+    """(3 m) as of `PointColumns`; NaN where the program does not state it."""
+    turn: array[float] = field(default_factory=lambda: array("d"))
+    move_line: array[int] = field(default_factory=lambda: array("q"))
+    target: array[int] = field(default_factory=lambda: array("l"))
+    context: array[int] = field(default_factory=lambda: array("l"))
+    targets: ValueNumbers[str] = field(default_factory=ValueNumbers)
+    contexts: ValueNumbers[Context] = field(default_factory=ValueNumbers)
+    stated: array[int] = field(default_factory=lambda: array("b"))
+    """`StatedBy`"""
+    number: array[float] = field(default_factory=lambda: array("d"))
+    """As written; NaN: none."""
+    factor: array[float] = field(default_factory=lambda: array("d"))
+    """One unit of it, in s or in mm/min."""
+    start: array[int] = field(default_factory=lambda: array("q"))
+    end: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets of the number, of a modal speed in the statement that set it; -1: none."""
+    here: array[int] = field(default_factory=lambda: array("q"))
+    there: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets that enclose what states the time; -1: the move has no such location."""
+    begin: array[int] = field(default_factory=lambda: array("q"))
+    until: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets of the statement."""
+    stops: array[int] = field(default_factory=lambda: array("b"))
+    arc: array[int] = field(default_factory=lambda: array("b"))
+    dwell: array[int] = field(default_factory=lambda: array("q"))
+    """Number of the point whose dwell stands behind the move; ``NONE``: no dwell."""
+
+    def __len__(self) -> int:
+        return len(self.stated)
 
 
 @dataclass(slots=True)

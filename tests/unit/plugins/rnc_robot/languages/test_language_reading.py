@@ -83,7 +83,7 @@ BODIES = [
     ("rapid", b"MoveL p1,v100,fine,tool0;WaitTime 2E0;\n", 2.0, 6000.0),
     ("rapid", b"MoveL p1,v33,fine,tool0;\nWaitTime 2;\n", 2.0, None),  # a name of the user's: no speed known
     ("rapid", b"MoveL p1,vSlow,fine,tool0;\nWaitTime 2;\n", 2.0, None),
-    ("rapid", b"MoveL p1,[50,500,5000,1000],fine,tool0;\nWaitTime 2;\n", 2.0, None),
+    ("rapid", b"MoveL p1,[50,500,5000,1000],fine,tool0;\nWaitTime 2;\n", 2.0, 3000.0),
     ("rapid", b"MoveL p1,v100,z50,tool0;\nWaitTime \\InPos , 2;\n", 2.0, 6000.0),
     ("rapid", b"MoveC p1,p1,v10,fine,tool0;\nWaitTime 2;\n", 2.0, 600.0),
     ("rapid", OFFSET, 2.0, 600.0),

@@ -89,7 +89,7 @@ KRL = [
     (b"LIN {X 5,Z 1,Y 2,A 0,B 0,C 0}", "not read"),
     (b"LIN XP1:FRAME", "not read"),
     (b"LIN XP9\nWAIT SEC 1", "position XP9 is not declared"),
-    (b"SLIN XP1 WITH $VEL.CP=1", "not read"),
+    (b"SLIN XP1 WITH $ACC.CP=1", "not read"),
     (b"SPLINE", "not read"),
     (b"FOR I=1 TO 5\nENDFOR", "loops"),
     (b"LOOP", "loops"),
