@@ -41,8 +41,8 @@ def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -
     Each block runs at the requested feed (at most ``max_feed_mm_s``) with a trapezoidal speed profile; the speed at
     a junction is at most either block's and what acceleration can reach from both sides; the machine stops at the
     path's ends, at gaps, at moves that are programmed to stop, and where the direction changes by more than
-    ``corner_deg``. The blend at a move's end adds its share of the move's time (``Program.timing``). A dwell is run after its move
-    from rest to rest at the largest feed. Each point takes ``block_overhead_s`` besides.
+    ``corner_deg``. The blend at a move's end adds its share of the move's time (``Program.timing``). A dwell is run
+    after its move from rest to rest at the largest feed. Each point takes ``block_overhead_s`` besides.
 
     Args:
         program: the path.
