@@ -21,9 +21,12 @@ from polishd.plugins.rnc_robot.languages.move_times import (
     misfit,
     speed_number,
     time_number,
+    unnumbered,
 )
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MakeForm, MoveTime
+from polishd.process.frames import angles_from_axis
 
+AT = re.compile("<at[05]?>")
 FIELD = re.compile(r"<([a-z_][a-z0-9_]*)>")
 SAFE_Z_MM = 20.0
 
@@ -56,6 +59,12 @@ def orientations(profile: LanguageProfile, axis: FloatArray) -> FloatArray:
     rotation = Rotation.from_rotvec(unit * angle) * (
         Rotation.from_euler("x", 180, degrees=True) if into else Rotation.identity()
     )
+    if notation.convention == "vector":
+        return z
+    if notation.convention == "rotary_deg":
+        if notation.axes != "CA":
+            raise ProgramError(f"no programs are made with the rotary axes {notation.axes}. To do: take CA.")
+        return np.stack(angles_from_axis(z)[::-1], axis=1)
     if notation.convention == "quaternion":
         return np.asarray(rotation.as_quat(canonical=True)[:, [3, 0, 1, 2]])
     if notation.convention == "euler_deg":
@@ -76,7 +85,7 @@ def language_program(
             f"{name}: no programs are made in {profile.name}. To do: take another dialect, or add [make] and "
             "[move_time] to your own profile."
         )
-    return _Maker(profile, form, rules, times, name).text(points_mm, axis)
+    return _Maker(profile, form, rules, times, name, count(rules.first_number)).text(points_mm, axis)
 
 
 @dataclass(slots=True)
@@ -86,7 +95,7 @@ class _Maker:
     rules: MoveTime
     times: PathTimes
     name: str
-    numbers: Iterator[int] = field(default_factory=lambda: count(1))
+    numbers: Iterator[int]
     """Of the lines."""
     positions: list[str] = field(default_factory=list)
     residue_s: float = 0.0
@@ -117,7 +126,9 @@ class _Maker:
         body.append(self._filled(form.travel, self._pose(above[1], turns[-1])))
         tail = self._filled(form.tail, {})
         text = "".join(part.strip("\n") + "\n" for part in [head, *body, tail])
-        text = text.replace("<positions>", "".join(self.positions)).replace("<count>", str(next(self.numbers) - 1))
+        counts = {"<count>": str(next(self.numbers) - 1), "<npos>": str(len(self.positions))}
+        for what, value in {"<positions>": "".join(self.positions), **counts}.items():
+            text = text.replace(what, value)
         self._require_lines(len(body))
         return (text.replace("\n", "\r\n") if form.ending == "crlf" else text).encode("ascii")
 
@@ -133,7 +144,8 @@ class _Maker:
         """A text with its fields filled in; ``<positions>`` and ``<count>`` are filled in at the end."""
         known = {
             "program": self.form.name, "tool": self.form.tool, "frame": self.form.frame,
-            "positions": "<positions>", "count": "<count>", "zone": self.form.stop, "timing": "", **values,
+            "positions": "<positions>", "count": "<count>", "npos": "<npos>", "zone": self.form.stop, "timing": "",
+            "feed_of": self.form.feed_of, **values,
         }  # fmt: skip
 
         def value(match: re.Match[str]) -> str:
@@ -143,17 +155,21 @@ class _Maker:
                 raise ProgramError(f"{self.profile.name}: make: the field <{match[1]}> is not known. To do: remove it.")
             return known[match[1]]
 
-        if "<at>" in form:
-            known["at"] = str(len(self.positions) + 1)
+        if AT.search(form):
+            known |= {
+                "at": str(len(self.positions) + 1),
+                "at5": f"{len(self.positions) + 1:05d}",
+                "at0": str(len(self.positions)),
+            }
             self.positions.append("")
             self.positions[-1] = FIELD.sub(value, self.form.position).lstrip("\n")
         return FIELD.sub(value, form)
 
     def _pose(self, place: FloatArray, turn: FloatArray) -> dict[str, str]:
-        form, names = self.form, self.profile.orientation.fields
-        pose = {axis: f"{number:.{form.decimals}f}" for axis, number in zip("xyz", place.tolist(), strict=True)}
+        form, names, sign = self.form, self.profile.orientation.fields, "+" if self.form.signs else ""
+        pose = {axis: f"{number:{sign}.{form.decimals}f}" for axis, number in zip("xyz", place.tolist(), strict=True)}
         return pose | {
-            each: f"{number:.{form.turn_decimals}f}" for each, number in zip(names, turn.tolist(), strict=True)
+            each: f"{number:{sign}.{form.turn_decimals}f}" for each, number in zip(names, turn.tolist(), strict=True)
         }
 
     def _move(self, k: int, length_mm: float, pose: dict[str, str]) -> list[str]:
@@ -176,7 +192,7 @@ class _Maker:
         if rules.feed_line:
             if number.plain != self.holds:
                 before, self.holds = (
-                    [self._indent + self._filled(rules.feed_line, {"feed": number.plain.decode()})],
+                    [self._statement(rules.feed_line, {"feed": number.plain.decode()})],
                     number.plain,
                 )
         else:
@@ -212,8 +228,16 @@ class _Maker:
     def _wait(self, k: int) -> str:
         dwell, new_s = self.profile.dwell, float(self.times.dwell_s[k])
         self._require_form(self.rules.wait, "wait")
-        if not 0 <= new_s <= dwell.max_s:
-            raise ProgramError(f"{self.name}: a wait of {new_s:g} s; {self.profile.name} takes 0 to {dwell.max_s:g} s.")
+        if not dwell.quantum_s <= new_s <= dwell.max_s:
+            raise ProgramError(
+                f"{self.name}: dwells of {new_s:g} s: {self.profile.name} takes {dwell.quantum_s:g} to "
+                f"{dwell.max_s:g} s. To do: ask for such."
+            )
         number = time_number(dwell.quantum_s, dwell.unit_s, new_s + self.residue_s)
         self.residue_s += new_s - number.time_s
-        return self._indent + self._filled(self.rules.wait, {"time": number.plain.decode()})
+        return self._statement(self.rules.wait, {"time": number.plain.decode()})
+
+    def _statement(self, form: str, values: Mapping[str, str]) -> str:
+        """A statement beside the moves, indented and numbered as they are."""
+        form = form if "<n>" in self.form.move else unnumbered(form)
+        return "\n".join(self._indent + line for line in self._filled(form.strip("\n"), values).split("\n"))

@@ -14,7 +14,7 @@ from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.columns import NONE, StatedBy, numbers
-from polishd.plugins.rnc_robot.languages.parser import Scan, scan
+from polishd.plugins.rnc_robot.languages.parser import MatchedStatement, Scan, scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
 from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, require_rules, timed_moves
 
@@ -141,10 +141,11 @@ class _Writer:
     moves: TimedMoves
     edits: list[TextEdit] = field(default_factory=list)
     residue_s: float = 0.0
-    seen: tuple[int, int] = (-1, -1)
-    """Where the program states the speed that holds."""
-    holds: float = math.nan
-    """The speed that holds in the new text, mm/min."""
+    seen: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Where the program states the speed that holds, by the name that it is set for."""
+    lines_changed: bool = False
+    holds: dict[int, float] = field(default_factory=dict)
+    """The speed that holds in the new text, mm/min, likewise."""
 
     def refuse(self, row: int, reason: str, advice: str) -> ProgramError:
         """The error at a move."""
@@ -194,7 +195,8 @@ class _Writer:
         line = data.rfind(b"\n", 0, begin) + 1
         if data[line:begin].strip():
             raise self.refuse(row, "the move stands behind another statement in its line", "put it in a separate line")
-        self.put(line, line, data[line:begin] + text.encode() + _line_end(data, line))
+        stop = _line_end(data, line)
+        self.put(line, line, data[line:begin] + self._numbered(text, begin) + stop)
 
     def line_behind(self, row: int, text: str) -> None:
         """A statement in a line behind the move's."""
@@ -206,15 +208,26 @@ class _Writer:
             raise self.refuse(row, "another statement stands behind the move in its line", "put it in a separate line")
         begin = self.moves.columns.begin[row]
         indent = data[data.rfind(b"\n", 0, begin) + 1 : begin]
-        self.put(end, end, indent + text.encode() + _line_end(data, end))
+        stop = _line_end(data, end)
+        self.put(end, end, indent + self._numbered(text, begin).replace(b"\n", stop + indent) + stop)
+
+    def _numbered(self, text: str, begin: int) -> bytes:
+        """A new line's text: with a number where the move's line has one."""
+        self.lines_changed = True
+        text = text.strip("\n")
+        if not self.found.source.data[begin : begin + 1].isdigit():
+            return unnumbered(text).encode()
+        return text.replace("<n>", "1").encode()
 
     def modal_speed(self, row: int, number: bytes, value: float) -> None:
         """A speed that holds from this move on, before it or in it."""
         if self.rules.feed_line:
-            self.line_before(row, self.rules.feed_line.replace("<feed>", number.decode()))
+            name = self.moves.columns.feed_of[row]
+            of = "" if name == NONE else self.moves.columns.names.values()[name]
+            self.line_before(row, self.rules.feed_line.replace("<feed>", number.decode()).replace("<feed_of>", of))
         else:
             self.region(row, self.rules.feed, "speed", number)
-        self.holds = value
+        self.holds[self.moves.columns.feed_of[row]] = value
 
     @property
     def is_modal(self) -> bool:
@@ -227,18 +240,19 @@ class _Writer:
         by, factor, span = StatedBy(columns.stated[row]), columns.factor[row], (columns.start[row], columns.end[row])
         own = columns.number[row] * factor
         if by is StatedBy.MODAL or (by is StatedBy.RATE and self.is_modal):
-            fresh = span != self.seen
-            self.seen, self.holds = span, own if fresh else self.holds
+            name = columns.feed_of[row]
+            fresh = span != self.seen.get(name)
+            self.seen[name], self.holds[name] = span, own if fresh else self.holds[name]
             if stays:
-                if not math.isclose(self.holds, own, rel_tol=1e-12):
+                if not math.isclose(self.holds[name], own, rel_tol=1e-12):
                     self.modal_speed(row, self.found.source.data[span[0] : span[1]], own)
                 return
             number = self.speed(row, length_mm, new_s, factor)
             value = number.value * factor
             if fresh:
                 self.number(row, number)
-                self.holds = value
-            elif not math.isclose(self.holds, value, rel_tol=1e-12):
+                self.holds[name] = value
+            elif not math.isclose(self.holds[name], value, rel_tol=1e-12):
                 self.modal_speed(row, number.plain, value)
         elif stays:
             return
@@ -253,9 +267,15 @@ class _Writer:
                 self.region(row, self.rules.feed, "speed", number.plain)
 
     def text(self) -> bytes:
-        """The program with all edits."""
+        """The program with all edits, its lines numbered anew where lines came or went."""
         edits = sorted(self.edits, key=lambda edit: (edit.start, edit.end))
-        return spliced(self.found.source.data, edits)
+        text = spliced(self.found.source.data, edits)
+        return _renumbered(self.found, text) if self.lines_changed else text
+
+
+def unnumbered(text: str) -> str:
+    """A form of a statement without the number of its line."""
+    return text.replace("<n> ", "").replace("<n>", "")
 
 
 def _line_end(data: bytes, at: int) -> bytes:
@@ -335,7 +355,7 @@ def recode_moves(profile: LanguageProfile, program: Program, time_s: FloatArray,
         _recode_move(writer, encoding, row, new_s, length)
     if program.encoding == "dwell":
         _remove_waits(writer)
-    return renumbered(profile, writer.text(), program.name)
+    return writer.text()
 
 
 def _recode_move(writer: _Writer, encoding: Encoding, row: int, new_s: float, length_mm: float) -> None:
@@ -390,7 +410,7 @@ def _write_wait(writer: _Writer, row: int, new_s: float) -> None:
     if new_s > dwell.max_s:
         raise writer.refuse(row, f"a dwell of {new_s:g} s is longer than {dwell.max_s:g} s", "solve again within that")
     writer.residue_s += new_s - number.time_s
-    writer.line_behind(row, rules.wait.replace("<time>", number.plain.decode()).replace("<n>", "1"))
+    writer.line_behind(row, rules.wait.replace("<time>", number.plain.decode()))
 
 
 def _remove_waits(writer: _Writer) -> None:
@@ -405,6 +425,7 @@ def _remove_waits(writer: _Writer) -> None:
                 statement, "other text stands in the line of the wait", "put the wait in a separate line"
             )
         writer.put(*stretch, b"")
+        writer.lines_changed = True
 
 
 def _whole_line(data: bytes, start: int, end: int) -> tuple[int, int] | None:
@@ -414,25 +435,33 @@ def _whole_line(data: bytes, start: int, end: int) -> tuple[int, int] | None:
     return None if data[begin:start].strip() or data[end:after].strip() else (begin, after)
 
 
-def renumbered(profile: LanguageProfile, text: bytes, name: str) -> bytes:
-    """The text with the lines numbered from 1, in the width that the numbers had, and with their count in its head."""
+def _renumbered(old: Scan, text: bytes) -> bytes:
+    """The new text with its lines numbered as the old one's are, and with their count in its head."""
+    profile, rules = old.profile, old.profile.move_time
     if not any("n" in pattern.regex.groupindex for pattern in profile.patterns):
         return text
-    found, edits, number = scan(profile, text, name, keep=True), list[TextEdit](), count(1)
+    before = scan(profile, old.source.data, old.source.name, keep=True)
+    written = [
+        int(before.source.data[slice(*span)] or b"0") for line in before.kept or () for span in _number_spans(line)
+    ]
+    first, step = (written[0], max(written[1] - written[0], 1)) if len(written) > 1 else (1, 1)
+    found, edits, number = scan(profile, text, old.source.name, keep=True), list[TextEdit](), count(first, step)
     for statement in found.kept or ():
-        if "n" in statement.match.re.groupindex:
-            start, end = statement.match.span("n")
-            written = str(next(number))
-            if start < end:
-                more = max(len(written) - (end - start), 0)
-                start -= min(more, start - _blank_from(text, start))
-                edits.append(TextEdit(start, end, written.rjust(end - start).encode()))
-    rules = profile.move_time
+        for low, high in _number_spans(statement):
+            digits = str(next(number))
+            if low < high:
+                more = min(max(len(digits) - (high - low), 0), low - _blank_from(text, low))
+                edits.append(TextEdit(low - more, high, digits.rjust(high - low + more).encode()))
     if rules is not None and rules.numbered_lines:
         head = re.search(rules.numbered_lines.encode(), text)
         if head is not None:
-            edits.insert(0, TextEdit(*head.span(1), str(next(number) - 1).encode()))
+            edits.insert(0, TextEdit(*head.span(1), str(next(number) - step).encode()))
     return spliced(text, edits)
+
+
+def _number_spans(statement: MatchedStatement) -> list[tuple[int, int]]:
+    """Where a statement's lines are numbered: ``n`` and, of a second line, ``n2``."""
+    return [statement.match.span(name) for name in ("n", "n2") if name in statement.match.re.groupindex]
 
 
 def _blank_from(text: bytes, at: int) -> int:
@@ -503,6 +532,7 @@ def _timing_statements(found: Scan, *, recoded: bool) -> Iterator[TextEdit]:
             name = "time"
         if name:
             yield TextEdit(*(alone or statement.match.span(name)), b"" if alone else TIME)
-        elif recoded and statement.text("n"):
-            start, end = statement.match.span("n")
-            yield TextEdit(_blank_from(data, start), end, TIME)
+        elif recoded or is_modal:
+            for start, end in _number_spans(statement):
+                if start < end:
+                    yield TextEdit(_blank_from(data, start), end, TIME)

@@ -114,6 +114,15 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
+class ModalFeed:
+    """A speed that holds for the moves behind it."""
+
+    text: str
+    unit: str
+    span: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
 class StatedTime:
     """What states the time of a move, and where."""
 
@@ -152,8 +161,10 @@ class Scan:
     """The line that ``body_lines`` counted last."""
     warnings: dict[str, None] = field(default_factory=dict)
     modal: dict[str, str] = field(default_factory=dict)
-    modal_span: tuple[int, int] = (-1, -1)
-    """Byte offsets of the speed that was set last."""
+    feeds: dict[str | None, ModalFeed] = field(default_factory=dict)
+    """The speed that was set last, by the name that it was set for."""
+    axes: dict[str, float] = field(default_factory=dict)
+    """Coordinates that were stated last, where these hold."""
     speeds: dict[str, float] = field(default_factory=dict)
     """Declared speeds by name, mm/min."""
     last: Move | None = None
@@ -220,7 +231,7 @@ def _move(found: Scan, statement: MatchedStatement) -> None:
         place_of(found, statement) if target is None else None,
         None if target is None else found.folded(target),
         _offset(found, statement),
-        _stops(found.profile, statement.text("zone")),
+        _stops(found, statement),
         stated.number * stated.factor if stated.by > StatedBy.TIME else math.nan,
         _context(found, statement),
     )
@@ -276,6 +287,8 @@ def _keep_motion(found: Scan, statement: MatchedStatement, move: Move, stated: S
     columns.until.append(end)
     columns.stops.append(move.stops)
     columns.arc.append("via" in groups)
+    feed_of = _feed_of(found, statement)
+    columns.feed_of.append(NONE if feed_of is None else columns.names.of(feed_of))
     columns.dwell.append(NONE)
 
 
@@ -284,7 +297,8 @@ def _approach(found: Scan, statement: MatchedStatement) -> None:
     found.at = None
     if found.columns is not None:
         target, fields = statement.text("target"), statement.match.re.groupindex
-        place = place_of(found, statement) if "x" in fields and statement.text("x") is not None else None
+        stated = "x" in fields and (statement.text("x") is not None or found.profile.modal_axes)
+        place = place_of(found, statement) if stated else None
         named = None if target is None else found.folded(target)
         move = Move(
             statement.line, place, named, _offset(found, statement), False, math.nan, _context(found, statement)
@@ -351,18 +365,26 @@ def _position(found: Scan, statement: MatchedStatement) -> None:
     if found.folded(name) in found.positions:
         other = found.positions.line[found.positions.number[found.folded(name)]]
         raise found.refuse(statement, f"the position {name} is declared in line {other} too", "keep one of them")
-    context = statement.text("tool"), statement.text("frame")
+    context: Context = statement.text("tool"), statement.text("frame")
+    if found.profile.modal_positions:
+        context = _context(found, statement)
     found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
 
 
 def _neutral(found: Scan, statement: MatchedStatement) -> None:
-    for name in ("tool", "frame", "feed"):
+    for name in ("tool", "frame", "zone"):
         text = statement.text(name)
         if text is not None:
             found.modal[name] = text
-            if name == "feed":
-                found.modal["feed_unit"] = statement.text("feed_unit") or ""
-                found.modal_span = statement.match.span("feed")
+    if (feed := statement.text("feed")) is not None:
+        found.feeds[_feed_of(found, statement)] = ModalFeed(
+            feed, statement.text("feed_unit") or "", statement.match.span("feed")
+        )
+
+
+def _feed_of(found: Scan, statement: MatchedStatement) -> str | None:
+    name = statement.text("feed_of")
+    return None if name is None else found.folded(name)
 
 
 def _speed(found: Scan, statement: MatchedStatement) -> None:
@@ -433,6 +455,9 @@ def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
     profile = found.profile
     names = ("x", "y", "z", *profile.orientation.fields)
     written = [statement.number(name) for name in names]
+    if profile.modal_axes:
+        found.axes |= {name: value for name, value in zip(names, written, strict=True) if value is not None}
+        written = [found.axes.get(name, 0.0 if name not in "xyz" else None) for name in names]
     if None in written:
         raise found.refuse(statement, "the position is not complete", POSTED)
     x, y, z, *turn = (value or 0.0 for value in written)
@@ -444,8 +469,12 @@ def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
     return WrittenPose(xyz_mm, tuple(turn))
 
 
-def _stops(profile: LanguageProfile, zone: str | None) -> bool:
-    if zone is None or zone.lower() in profile.exact_stop:
+def _stops(found: Scan, statement: MatchedStatement) -> bool:
+    profile = found.profile
+    zone = statement.text("zone") if "zone" in statement.match.re.groupindex else found.modal.get("zone")
+    if zone is None:
+        return not profile.blends_without_zone
+    if zone.lower() in profile.exact_stop:
         return True
     try:
         return float(zone) == 0
@@ -477,10 +506,10 @@ def _stated(found: Scan, statement: MatchedStatement) -> StatedTime:
     holds = rules is not None and rules.feed_holds
     by, span = StatedBy.RATE, statement.match.span("feed") if own is not None else (-1, -1)
     if own is None and ("feed" not in groups or holds):
-        own, unit, by, span = found.modal.get("feed"), found.modal.get("feed_unit"), StatedBy.MODAL, found.modal_span
+        modal = found.feeds.get(_feed_of(found, statement), ModalFeed("", "", span))
+        own, unit, by, span = modal.text or None, modal.unit, StatedBy.MODAL, modal.span
     elif own is not None and holds:
-        found.modal["feed"], found.modal["feed_unit"] = own, unit or ""
-        found.modal_span = span
+        found.feeds[None] = ModalFeed(own, unit or "", span)
     if own is None:
         return StatedTime(StatedBy.UNKNOWN)
     try:

@@ -107,17 +107,21 @@ class OrientationNotation(_Strict):
     fields: list[Text]
     """Names of the fields: scalar first for a quaternion, in the order of ``axes`` for Euler angles."""
     axes: str = ""
-    """Of Euler angles: three of XYZ about turned axes, or of xyz about fixed ones."""
+    """Of Euler angles: three of XYZ about turned axes, or of xyz about fixed ones; of rotary axes: two of ABC, the
+    outermost first."""
     tool_z: Literal["into_part", "out_of_part"] = "into_part"
     """Where the tool frame's z points."""
 
     @model_validator(mode="after")
     def _complete(self) -> OrientationNotation:
-        count = 4 if self.convention == "quaternion" else 3
+        count = {"quaternion": 4, "rotary_deg": 2}.get(self.convention, 3)
         if len(self.fields) != count:
             raise ValueError(f"{self.convention} has {count} fields")
-        if (self.convention == "euler_deg") != bool(re.fullmatch(r"[XYZ]{3}|[xyz]{3}", self.axes)):
-            raise ValueError("axes: three of XYZ (turned) or xyz (fixed), with euler_deg and only with it")
+        form = {"euler_deg": "[XYZ]{3}|[xyz]{3}", "rotary_deg": "[ABC]{2}"}.get(self.convention, "")
+        if not re.fullmatch(form, self.axes):
+            raise ValueError(
+                "axes: three of XYZ (turned) or xyz (fixed) with euler_deg, two of ABC with rotary_deg, none otherwise"
+            )
         return self
 
 
@@ -189,6 +193,8 @@ class MoveTime(_Strict):
     """A statement before a move that sets the speed from there on."""
     wait: str = ""
     """A statement behind a move."""
+    first_number: int = Field(1, ge=0, le=1)
+    """Number of the first line, where lines are numbered."""
     numbered_lines: str = ""
     """Regular expression of the head's count of numbered lines, the count in a group."""
 
@@ -224,8 +230,10 @@ class MakeForm(_Strict):
     """Of positions."""
     turn_decimals: int = Field(5, ge=0, le=9)
     """Of orientations."""
-    feed_decimals: int = Field(3, ge=0, le=9)
-    """Of the speed of moves to a wait."""
+    signs: bool = False
+    """Positions are written with their plus."""
+    feed_of: str = ""
+    """``<feed_of>`` of ``move_time.feed_line``."""
     stop: str = ""
     """``<zone>`` of a move that stops."""
     blend: str = ""
@@ -258,7 +266,10 @@ class Statements(_Strict):
     speed: Templates = []
     """A speed ``rate`` declared under the name ``feed_name``."""
     neutral: Templates = []
-    """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves."""
+    """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves.
+
+    ``feed`` and ``zone`` hold for the moves behind it that state none; with ``feed_of`` for those of that name.
+    """
     begin: Templates = []
     end: Templates = []
     """Begin and end of a routine; there may be several, but only one may move."""
@@ -313,6 +324,12 @@ class LanguageProfile(_Strict):
     """One written unit of ``feed`` by what the field ``feed_unit`` holds (lower case; "" where there is none)."""
     exact_stop: list[Text] = []
     """What the field ``zone`` of a move that stops holds (lower case); no zone and a zone of 0 stop too."""
+    blends_without_zone: bool = False
+    """A move without ``zone`` blends into the next one."""
+    modal_axes: bool = False
+    """A coordinate that a move does not state holds from before; a rotary one is 0 at first."""
+    modal_positions: bool = False
+    """The tool and the frame that were set last hold for a declared position."""
     declare_before_use: bool = False
     line_limit: int = Field(0, ge=0, le=1_000_000_000)
     """Lines of a routine that the controller takes; 0: any number."""
