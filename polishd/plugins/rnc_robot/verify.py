@@ -569,9 +569,9 @@ def _places(old: ProgramMotion, new: ProgramMotion) -> str | None:
 
 
 def _words(place: FloatArray) -> str:
-    names = COLUMNS if len(place) == len(COLUMNS) else ("x", "y", "z", "i", "j", "k")
+    names = COLUMNS if len(place) == len(COLUMNS) else ("x", "y", "z", "i", "j", "k", " ", " ")
     return " ".join(
-        f"{name}{value!r}" for name, value in zip(names, place.tolist(), strict=True) if not math.isnan(value)
+        f"{name}{value!r}" for name, value in zip(names, place.tolist(), strict=False) if not math.isnan(value)
     )
 
 

@@ -64,7 +64,10 @@ def _read_moves(found: Scan, moves: TimedMoves) -> Program:
             "nothing carries time. To do: check that this is the polishing program, and its dialect."
         )
     by_time = moves.stated == StatedBy.TIME
-    units = {feed_unit(found.profile, factor) for factor in np.unique(_factors(moves)[~by_time]).tolist()}
+    named = (moves.stated == StatedBy.TIME) | (moves.stated == StatedBy.FIXED)
+    units = {feed_unit(found.profile, factor) for factor in np.unique(_factors(moves)[~named]).tolist()}
+    if (moves.stated == StatedBy.FIXED).any() and found.profile.move_time is not None:
+        units.add(feed_unit(found.profile, found.profile.feed_units_mm_min[found.profile.move_time.speed_unit]))
     warnings = (*found.warnings, *moves.warnings)
     if found.dwells:
         warnings += (f"{found.dwells} dwells that no feed move leads to are not points and are not changed",)

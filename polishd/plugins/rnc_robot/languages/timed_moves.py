@@ -10,11 +10,20 @@ import numpy as np
 from polishd.api import ProgramError
 from polishd.model.program import IntArray, MoveTiming
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.plugins.rnc_robot.languages.columns import NONE, MoveColumns, PointColumns, StatedBy, numbers, table
+from polishd.plugins.rnc_robot.languages.columns import (
+    NONE,
+    MoveColumns,
+    PointColumns,
+    StatedBy,
+    ValueNumbers,
+    numbers,
+    table,
+)
 from polishd.plugins.rnc_robot.languages.parser import POSTED, Scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
 
 SAME_PLACE_MM = 1e-6
+Names = tuple[str | None, ...]
 
 
 def locations(
@@ -27,10 +36,7 @@ def locations(
     rows = len(points)
     wanted = np.arange(rows) if required is None else required
     xyz_mm, turn = table(points.xyz_mm, rows).copy(), table(points.turn, rows).copy()
-    target, declared = numbers(points.target), np.full(rows, NONE)
-    number = np.array([found.positions.number.get(name, NONE) for name in points.targets.values()], dtype=np.int64)
-    to = target != NONE
-    declared[to] = number[target[to]]
+    declared, to = declared_positions(found, points), numbers(points.target) != NONE
     _require_one_context(found, points, wanted, declared)
     known, lost = np.flatnonzero(declared != NONE), np.flatnonzero(to & (declared == NONE))
     if known.size:
@@ -41,46 +47,47 @@ def locations(
     return xyz_mm, turn
 
 
-def contexts(found: Scan, points: PointColumns | MoveColumns) -> IntArray:
-    """(n,) number of tool and frame of each motion, those of its declared position included."""
-    theirs = found.positions.contexts.values()
-    number = np.array([found.positions.number.get(name, NONE) for name in points.targets.values()], dtype=np.int64)
-    target, of_position = numbers(points.target), np.full(len(points), NONE)
-    to = np.flatnonzero(target != NONE)
-    declared = number[target[to]]
+def contexts(found: Scan, points: PointColumns | MoveColumns, declared: IntArray) -> tuple[IntArray, list[Names]]:
+    """(n,) number of tool and frame of each motion, those of its declared position included, and these by number."""
+    own, theirs = points.contexts.values(), found.positions.contexts.values()
+    of_position = np.full(len(points), NONE)
     known = declared != NONE
-    of_position[to[known]] = numbers(found.positions.context)[declared[known]]
-    return np.asarray(numbers(points.context) * (len(theirs) + 1) + of_position + 1)
+    of_position[known] = numbers(found.positions.context)[declared[known]]
+    pairs, which = np.unique(numbers(points.context) * (len(theirs) + 1) + of_position + 1, return_inverse=True)
+    named = ValueNumbers[Names]()
+
+    def number(pair: int) -> int:
+        move, position = divmod(pair, len(theirs) + 1)
+        both = (*own[move], *((None, None) if position == 0 else theirs[position - 1]))
+        return named.of(tuple(name and found.folded(name) for name in both))
+
+    of_pair = np.array([number(pair) for pair in pairs.tolist()], dtype=np.int64)
+    return of_pair[which], named.values()
+
+
+def declared_positions(found: Scan, points: PointColumns | MoveColumns) -> IntArray:
+    """(n,) number of the declared position that each motion leads to; ``NONE``: none, or an unknown one."""
+    number = np.array([found.positions.number.get(name, NONE) for name in points.targets.values()], dtype=np.int64)
+    target = numbers(points.target)
+    declared, to = np.full(len(points), NONE), target != NONE
+    declared[to] = number[target[to]]
+    return declared
 
 
 def _require_one_context(found: Scan, points: PointColumns | MoveColumns, wanted: IntArray, declared: IntArray) -> None:
     """ProgramError at the first wanted motion, in program order, to an unknown position or in another tool or frame."""
-    own, theirs = points.contexts.values(), found.positions.contexts.values()
     unknown = (numbers(points.target)[wanted] != NONE) & (declared[wanted] == NONE)
     lost = int(wanted[np.argmax(unknown)]) if unknown.any() else len(points)
-
-    def context(at: int) -> tuple[str | None, ...]:
-        position = declared[at]
-        both = (
-            *own[points.context[at]],
-            *((None, None) if position == NONE else theirs[found.positions.context[position]]),
+    number, named = contexts(found, points, declared)
+    other = wanted[number[wanted] != number[wanted[:1]]] if wanted.size else wanted
+    if other.size and other[0] < lost:
+        at = int(other[0])
+        raise found.refuse_line(
+            points.move_line[at],
+            f"another tool or frame ({_named(named[number[at]])}) than at the first point "
+            f"({_named(named[number[wanted[0]]])})",
+            "have it posted with one tool in one frame",
         )
-        return tuple(name and found.folded(name) for name in both)
-
-    # few pairs are those of all points: each is compared once, where it stands first
-    firsts = np.unique(contexts(found, points)[wanted], return_index=True)[1]
-    first: tuple[object, ...] = ()
-    for at in wanted[np.sort(firsts)].tolist():
-        if at >= lost:
-            break
-        here = context(at)
-        first = first or here
-        if here != first:
-            raise found.refuse_line(
-                points.move_line[at],
-                f"another tool or frame ({_named(here)}) than at the first point ({_named(first)})",
-                "have it posted with one tool in one frame",
-            )
     if lost < len(points):
         name = points.targets.values()[points.target[lost]]
         raise found.refuse_line(
@@ -182,7 +189,7 @@ def _moved(found: Scan, columns: MoveColumns, moving: IntArray) -> tuple[FloatAr
     end_mm, turn = locations(found, columns, moving)
     start_mm = np.full_like(end_mm, np.nan)
     if len(end_mm):
-        context = contexts(found, columns)
+        context, _ = contexts(found, columns, declared_positions(found, columns))
         same = np.append(False, context[1:] == context[:-1])
         start_mm[1:] = end_mm[:-1]
         start_mm[~same] = np.nan

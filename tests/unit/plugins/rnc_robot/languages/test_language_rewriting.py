@@ -21,6 +21,11 @@ DWELLS = {
     "krl": rb"^WAIT SEC ([-+.0-9eE]+)",
     "fanuc-tp": rb"^\s*\d*:\s*WAIT\s+([-+.0-9eE]+)\(sec\) ;",
     "urscript": rb"^\s*sleep\(([-+.0-9eE]+)\)",
+    "inform": rb"^TIMER T=([-+.0-9eE]+)",
+    "val3": rb"^delay\(([-+.0-9eE]+)\)",
+    "heidenhain": rb"^2 FUNCTION DWELL TIME([-+.0-9eE]+)",
+    "melfa-basic": rb"^Dly ([-+.0-9eE]+)",
+    "kawasaki-as": rb"^TWAIT ([-+.0-9eE]+)",
 }
 """Where the times stand, said independently of the profiles; for programs of ``many``."""
 
