@@ -39,7 +39,7 @@ def blanked(name: str, text: bytes) -> bytes:
     """The program without the dwells' numbers."""
     return re.sub(
         DWELLS[name],
-        lambda match: match[0].replace(match[1] + (b"(" if name == "fanuc-tp" else b""), b"#", 1),
+        lambda match: text[match.start() : match.start(1)] + b"#" + text[match.end(1) : match.end()],
         text,
         flags=re.MULTILINE,
     )
