@@ -75,10 +75,12 @@ def asked_time_s(program: Program, wanted_s: FloatArray, envelope: Envelope) -> 
     """(n,) s to write for the points to take ``wanted_s``, where the machine reaches its feeds; never negative.
 
     Of a dwell, the time that its move takes is not written; of a move, its block's overhead and the share of its blend.
+    No move is asked to be slower than the smallest feed: where acceleration makes it so, it takes longer than asked.
     """
     if program.encoding == "dwell":
         return np.maximum(wanted_s - least_time_s(program, envelope), 0.0)
-    return np.maximum(wanted_s - envelope.block_overhead_s, 0.0) / _blend_factor(program)
+    asked = np.maximum(wanted_s - envelope.block_overhead_s, 0.0) / _blend_factor(program)
+    return np.asarray(np.minimum(asked, program.length_mm / envelope.min_feed_mm_s), dtype=np.float64)
 
 
 def _blend_factor(program: Program) -> FloatArray:

@@ -77,9 +77,9 @@ class StatedBy(IntEnum):
     UNKNOWN = 0
     """No number."""
     TIME = 1
-    """Seconds of its own."""
+    """The seconds that the move itself states."""
     RATE = 2
-    """A speed of its own."""
+    """The speed that the move itself states."""
     MODAL = 3
     """The speed that was set last."""
     FIXED = 4

@@ -184,7 +184,7 @@ class _Writer:
         if not form or here < 0:
             raise self.refuse(
                 row,
-                f"the language has no form of this move with a {name} of its own",
+                f"the language has no form of this move that states its {name}",
                 "keep the program's own encoding, or have it posted again",
             )
         self.put(here, there, form.replace("<t>" if name == "time" else "<feed>", number.decode()).encode())

@@ -488,7 +488,7 @@ def _factor(found: Scan, unit: str | None) -> float:
 
 
 def _stated(found: Scan, statement: MatchedStatement) -> StatedTime:
-    """What states the move's time: a time or speed of its own, or a speed that was set before."""
+    """What states the move's time: its own time or speed, or a speed that was set before."""
     rules, groups = found.profile.move_time, statement.match.re.groupindex
     if statement.number("t"):
         factor = math.nan if rules is None else rules.units_s.get((statement.text("t_unit") or "").lower(), math.nan)

@@ -158,7 +158,7 @@ def test_waits_become_times_of_moves_and_waits_again(name: str, target: Encoding
     program = read(language, text, "made")
     wanted = 2 * TIMES
     if not takes(name, target):
-        with pytest.raises(ProgramError, match="no form of this move with a time"):
+        with pytest.raises(ProgramError, match="no form of this move that states its time"):
             rewrite(language, program, wanted, target)
         return
     new = rewrite(language, program, wanted, target)
