@@ -12,7 +12,22 @@ from numpy.typing import NDArray
 from polishd.model.surface import FloatArray
 
 IntArray = NDArray[np.int64]
-Encoding = Literal["feed", "dwell", "inverse"]
+Encoding = Literal["feed", "dwell", "inverse", "time"]
+
+
+@dataclass(frozen=True, slots=True)
+class MoveTiming:
+    """What the controller's language and its blends allow of the times of a program's moves."""
+
+    least_mm_s: float
+    greatest_mm_s: float
+    """Speeds that a move can state."""
+    resolution_s: float
+    """Shortest time that a move can state."""
+    blend_share: float
+    """Time that the blend at a move's end adds, as a share of the move's time; negative where it saves time."""
+    stops: NDArray[np.bool_]
+    """(n,) whether the robot stops at the end of the move; elsewhere it blends into the next one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +35,7 @@ class Program:
     """A parsed RNC program: n timed points (blocks that carry time), in program order.
 
     A point is a feed move with its own dwell (``encoding == "dwell"``), or each feed move where time sits in
-    the feed (``"feed"``: F in mm/min a block; ``"inverse"``: G93 F in 1/min).
+    the feed (``"feed"``: F in mm/min a block; ``"inverse"``: G93 F in 1/min; ``"time"``: seconds of a move).
     """
 
     text: bytes
@@ -50,6 +65,8 @@ class Program:
     """Unit of the numbers that carry the time, as they are written: "s", "ms", "mm/min", "1/min", ..."""
     frame: Literal["program", "part"] = "program"
     """Whose axes ``start_mm``, ``end_mm`` and ``axis`` are in: the program's own, as read, or the part's."""
+    timing: MoveTiming | None = None
+    """Of a robot language whose moves carry their time; None: the machine's limits alone hold."""
 
     @property
     def n(self) -> int:

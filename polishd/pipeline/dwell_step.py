@@ -118,12 +118,6 @@ class ToolSubproblem:
         """(n,) longest time of the motion."""
         return motion.most_time_s(self.program, self.envelope)
 
-    def unrequested_s(self) -> FloatArray:
-        """(n,) time of a point that is not written into the program."""
-        if self.program.encoding == "dwell":
-            return self.least_s()
-        return np.full(self.program.n, self.envelope.block_overhead_s)
-
     def divide_by(self) -> FloatArray:
         """(n,) divisor of the correction "pointwise", otherwise 1."""
         return np.ones(self.program.n) if self.answer.divide_by is None else self.answer.divide_by
@@ -314,7 +308,9 @@ class _Step:
             chosen = self.chosen(problem)
             problem, found = chosen.problem, chosen.solution
         dwell = found if divide_by is None else _in_machine_time(found, divide_by)
-        asked = np.maximum(dwell.time_s - self.of_legs(ToolSubproblem.unrequested_s), 0.0)
+        asked = np.concatenate(
+            [motion.asked_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(dwell.time_s)]
+        )
         expected = [motion.delivered_time_s(leg.program, own_s, leg.envelope) for leg, own_s in self.each(asked)]
         return SolveRound(problem, dwell, asked, np.concatenate(expected))
 

@@ -455,14 +455,28 @@ def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) ->
 
 
 def envelope_of(recipe: Recipe, program: Program, believed: EstimatesInUse | None = None) -> Envelope:
-    """The machine's limits with the estimated overhead; moves to a dwell run at the program's own feed."""
+    """The machine's limits with the estimated overhead, inside those of the program's language.
+
+    Moves to a dwell run at the program's own feed. ComputeError where machine and language have no speed in common.
+    """
     envelope = recipe.envelope
     if believed is not None and believed.block_overhead_s:
         envelope = replace(envelope, block_overhead_s=believed.block_overhead_s)
     feed = program.max_feed_mm_min / 60
     if program.encoding == "dwell" and 0 < feed < envelope.max_feed_mm_s:
         envelope = replace(envelope, max_feed_mm_s=feed)
-    return envelope
+    timing = program.timing
+    if timing is None:
+        return envelope
+    least = max(envelope.min_feed_mm_s, timing.least_mm_s)
+    greatest = min(envelope.max_feed_mm_s, timing.greatest_mm_s)
+    if least >= greatest:
+        raise ComputeError(
+            f"{program.name}: {program.dialect} states {timing.least_mm_s:g} to {timing.greatest_mm_s:g} mm/s, the "
+            f"machine runs {envelope.min_feed_mm_s:g} to {envelope.max_feed_mm_s:g} mm/s. "
+            "Correct [machine] of the cell, or move_time of the dialect's profile."
+        )
+    return replace(envelope, min_feed_mm_s=least, max_feed_mm_s=greatest)
 
 
 def violations(recipe: Recipe, plan: Plan) -> list[str]:

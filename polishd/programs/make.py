@@ -132,9 +132,10 @@ def _encoding(options: MakeOptions) -> Encoding:
     for name, value in (("--feed", options.feed_mm_min), ("--dwell", options.dwell_s)):
         if value is not None and not 0 < value < np.inf:
             raise typer.BadParameter(f"{name} {value:g}: must be above 0")
-    if options.encoding == "dwell" and options.dwell_s is None:
-        raise typer.BadParameter("--encoding dwell needs --dwell: how long at each point")
-    return options.encoding or ("feed" if options.dwell_s is None else "dwell")
+    encoding = "dwell" if options.encoding == "wait" else options.encoding
+    if encoding == "dwell" and options.dwell_s is None:
+        raise typer.BadParameter(f"--encoding {options.encoding} needs --dwell: how long at each point")
+    return encoding or ("feed" if options.dwell_s is None else "dwell")
 
 
 def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from typer import Argument, Option
 
-Encoding = Literal["feed", "inverse", "dwell"]
-"""As model.program has it, which would import numpy."""
+EncodingOption = Literal["feed", "inverse", "dwell", "time", "wait"]
+"""As model.program has it, which would import numpy; ``wait`` is another name of ``dwell``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class MakeOptions:
         None
     )
     encoding: Annotated[
-        Encoding | None, Option(help="Encoding of the time (default: dwell with --dwell, else feed)")
+        EncodingOption | None, Option(help="Encoding of the time (default: dwell with --dwell, else feed)")
     ] = None
     dialect: Annotated[
         str | None, Option(metavar="NAME|D.toml", help="Dialect of the program (default: the cell's, or rs274)")

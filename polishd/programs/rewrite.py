@@ -214,6 +214,8 @@ def _held(
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)
     written = program.encoding if encoding is None else encoding
+    if isinstance(dialect, GcodeDialect) and written == "time":
+        written = "inverse"
     return RewriteResult(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
 
 

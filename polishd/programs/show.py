@@ -130,6 +130,7 @@ ENCODINGS: dict[Encoding, str] = {
     "dwell": "dwell blocks",
     "feed": "the feed of each move",
     "inverse": "inverse-time feed (G93)",
+    "time": "the time of each move",
 }
 
 

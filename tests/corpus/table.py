@@ -45,6 +45,6 @@ def cases() -> list[Case]:
 def reason(message: str) -> tuple[int, str]:
     """Line (0: the whole file) and reason of a refusal, without the text it shows and without its advice."""
     before = message.partition(" To do: ")[0]
-    found = re.match(r"[^:]*?(?:, line (\d+))?: (.*)", before, re.DOTALL)
+    found = re.match(r"[^:]*?(?:, line (\d+)|:(\d+))?: (.*)", before, re.DOTALL)
     assert found, message
-    return int(found[1] or 0), found[2].split(': "')[0]
+    return int(found[1] or found[2] or 0), found[3].split(': "')[0]

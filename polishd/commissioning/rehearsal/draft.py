@@ -346,7 +346,9 @@ NOT_SIMULATED = (
     "known_hosts",
 )  # fmt: skip
 """Keys of a PLC robot: its simulated controller accepts every client, and reads a folder."""
-OTHER_LANGUAGES = ("fanuc-tp", "krl", "rapid", "urscript")
+OTHER_LANGUAGES = (
+    "fanuc-tp", "heidenhain", "inform", "kawasaki-as", "krl", "melfa-basic", "rapid", "urscript", "val3",
+)  # fmt: skip
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
 FIRST_REGISTER = 24

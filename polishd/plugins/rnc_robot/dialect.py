@@ -21,9 +21,9 @@ __all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "DwellWord", "Gcode
 FOLDER = Path(__file__).with_name("dialects")
 DIALECTS = (
     "rs274", "fanuc", "haas", "siemens", "siemens-iso", "twincat-nci", "twincat-cnc", "grbl", "weihong", "codesys",
-    "rapid", "krl", "fanuc-tp", "urscript",
+    "rapid", "krl", "fanuc-tp", "urscript", "inform", "val3", "heidenhain", "melfa-basic", "kawasaki-as",
 )  # fmt: skip
-LANGUAGES = frozenset({"rapid", "krl", "fanuc-tp", "urscript"})
+LANGUAGES = frozenset(DIALECTS[DIALECTS.index("rapid") :])
 """Of those, the robots' own: profiles of templates."""
 DEFAULT = "rs274"
 AnyDialect = GcodeDialect | LanguageProfile
@@ -121,9 +121,12 @@ KNOWN = (
     Language("ABB RAPID", "rapid", (".mod", ".modx", ".sysx"), _sign(RAPID)),
     Language("FANUC TP", "fanuc-tp", (".ls",), _sign(rb"/(?:PROG|ATTR|APPL|MN|POS)\b")),
     Language("URScript", "urscript", (".script", ".urscript"), _sign(URSCRIPT, 0)),
-    Language("Yaskawa INFORM", "", (".jbi",), _sign(rb"/JOB\b|//(?:NAME|POS|INST)\b|MOV[LJC][ \t]+[CP]\d")),
-    Language("Heidenhain dialogue", "", (".h",), _sign(HEIDENHAIN)),
-    Language("Staubli VAL3", "", (".pgx", ".pjx", ".dtx"), _sign(rb"<\?xml\b|<Programs?\b|<Project\b")),
+    Language("Yaskawa INFORM", "inform", (".jbi",), _sign(rb"/JOB\b|//(?:NAME|POS|INST)\b|MOV[LJC][ \t]+[CP]\d")),
+    Language("Heidenhain dialogue", "heidenhain", (".h",), _sign(HEIDENHAIN)),
+    Language("data of a Staubli VAL3 application", "", (".pjx", ".dtx"), _sign(rb"<Database\b|<Project\b")),
+    Language("Staubli VAL3", "val3", (".pgx",), _sign(rb"<Programs?\b|<Code\b")),
+    Language("MELFA-BASIC", "melfa-basic", (".prg",), _sign(rb"(?:\d+[ \t]+)?(?:Mvs|Mov|Dly|Ovrd|JOvrd)[ \t]+[\w(]")),
+    Language("Kawasaki AS", "kawasaki-as", (".as", ".pg"), _sign(rb"\.(?:PROGRAM|TRANS|NETCONF)\b")),
 )
 SIEMENS = _sign(rb";\$PATH=|%_N_")
 SIEMENS_ENDINGS = (".mpf", ".spf")

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import cast
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from polishd.plugins.rnc_robot.dialect import (
     DEFAULT,
     DIALECTS,
     HEAD_BYTES,
-    LANGUAGES,
     AnyDialect,
     GcodeDialect,
     dialect,
@@ -27,6 +25,7 @@ from polishd.plugins.rnc_robot.dialect import (
 from polishd.plugins.rnc_robot.dialect import dialect as profile_of
 from polishd.plugins.rnc_robot.gcode import rewrite as nc
 from polishd.plugins.rnc_robot.gcode.recode import recode
+from polishd.plugins.rnc_robot.languages.make import PathTimes, language_program
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.process.frames import angles_from_axis
 
@@ -103,22 +102,25 @@ def path_program(
     *,
     encoding: Encoding = "feed",
     dwell_s: FloatArray | float = 0.0,
-    to: GcodeDialect | str = DEFAULT,
+    to: AnyDialect | str = DEFAULT,
 ) -> bytes:
-    """NC text through these points, tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
+    """A program through these points.
+
+    NC text has tool axes as ``Rz(C) Rx(A) (0, 0, 1)``, or with A and C negative for a table.
 
     Args:
         points_mm: (n, 3) tool tip, mm, program frame; the first is the landing point and has no time.
         axis: (n, 3) unit tool axis at each point, from the tip into the spindle.
         feed_mm_min: Feed of the block that ends at each point but the first: one value, or (n - 1,).
         name: Goes into the header's comment.
-        encoding: Time as F of each block, as inverse time of each block, or as a dwell after each block.
+        encoding: Time as F of each block, as time ("inverse", in a robot language "time") of each block, or as a
+            dwell after each block.
         dwell_s: For "dwell": seconds at each point but the first, one value or (n - 1,). What rounding leaves is
             carried on, so that the total is exact to one quantum.
         to: The dialect, or its name.
 
     Returns:
-        ASCII text: G0 above the first point and down to it, one G1 a point, G0 up, M2.
+        ASCII text; of NC text: G0 above the first point and down to it, one G1 a point, G0 up, M2.
 
     Raises:
         ProgramError: points, axes or times that cannot be written so.
@@ -128,7 +130,10 @@ def path_program(
     feeds, dwells = (np.broadcast_to(np.asarray(time, dtype=np.float64), moves) for time in (feed_mm_min, dwell_s))
     if not (np.isfinite(feeds).all() and np.isfinite(dwells).all() and (feeds > 0).all()):
         raise ProgramError(f"{name}: feeds must be finite and above zero, and dwells finite.")
-    asked = _Asked(name, _profile(name, to), encoding, points, axes, feeds, dwells)
+    profile = dialect(to) if isinstance(to, str) else to
+    if isinstance(profile, LanguageProfile):
+        return language_program(profile, points, axes, PathTimes(encoding, feeds, dwells), name)
+    asked = _Asked(name, _profile(name, profile), _nc_encoding(encoding), points, axes, feeds, dwells)
     places = _places(asked)
     times = _times(asked)
     comment = f"({_comment(name)}: {len(places)} points)"
@@ -174,10 +179,12 @@ def _path(name: str, points_mm: FloatArray, axis: FloatArray) -> tuple[FloatArra
     return points, axes
 
 
-def _profile(name: str, to: GcodeDialect | str) -> GcodeDialect:
-    profile = dialect(to) if isinstance(to, str) else to
-    if not isinstance(profile, GcodeDialect):
-        raise ProgramError(f"{name}: no programs are made in {profile.name}. To do: take an NC dialect.")
+def _nc_encoding(encoding: Encoding) -> Encoding:
+    """A time of each block is inverse time in NC text."""
+    return "inverse" if encoding == "time" else encoding
+
+
+def _profile(name: str, profile: GcodeDialect) -> GcodeDialect:
     if profile.axes.rotary and _pair(profile) not in profile.axes.rotary:
         raise ProgramError(f"{name}: {profile.title} has no A and C axes. To do: take another dialect.")
     return profile
@@ -305,13 +312,13 @@ def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding:
     if isinstance(dialect, GcodeDialect):
         if encoding in (None, program.encoding):
             return nc.rewrite(dialect, program, time_s)
-        return recode(dialect, program, time_s, encoding)
-    if encoding not in (None, "dwell"):
-        raise ProgramError(f"{program.name}: in {dialect.name} time sits in dwells. To do: leave the encoding away.")
-    return languages.rewrite(dialect, program, time_s)
+        return recode(dialect, program, time_s, _nc_encoding(encoding))
+    if encoding in (None, program.encoding):
+        return languages.rewrite(dialect, program, time_s)
+    return languages.recode_moves(dialect, program, time_s, encoding)
 
 
-def make(dialect: GcodeDialect, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, name: str) -> bytes:
+def make(dialect: AnyDialect, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, name: str) -> bytes:
     """A program along (n, 3) points with (n, 3) tool axes, time in its feeds. ProgramError."""
     return path_program(points_mm, axis, feed_mm_min, name, to=dialect)
 
@@ -327,8 +334,8 @@ def rewrite_shipped(name: str, program: Program, time_s: FloatArray, encoding: E
 
 
 def make_shipped(name: str, points_mm: FloatArray, axis: FloatArray, feed_mm_min: float, of: str) -> bytes:
-    """As `make`, in the shipped dialect of that name, which is none of the robots' languages."""
-    return make(cast(GcodeDialect, shipped(name)), points_mm, axis, feed_mm_min, of)
+    """As `make`, in the shipped dialect of that name."""
+    return make(shipped(name), points_mm, axis, feed_mm_min, of)
 
 
 def find_misread_line_shipped(name: str, lines: OwnLines) -> str:
@@ -343,7 +350,7 @@ def shipped_formats() -> list[ProgramFormat]:
             name,
             partial(read_shipped, name),
             partial(rewrite_shipped, name),
-            None if name in LANGUAGES else partial(make_shipped, name),
+            partial(make_shipped, name),
             partial(find_misread_line_shipped, name),
         )
         for name in DIALECTS
@@ -352,7 +359,7 @@ def shipped_formats() -> list[ProgramFormat]:
 
 def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
-    made = partial(make, dialect) if isinstance(dialect, GcodeDialect) else None
+    made = partial(make, dialect) if isinstance(dialect, GcodeDialect) or dialect.make is not None else None
     return ProgramFormat(
         dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(find_misread_line, dialect)
     )

@@ -28,9 +28,11 @@ from polishd.plugins.rnc_robot.gcode import kernels as c
 from polishd.plugins.rnc_robot.gcode.checks import Checks
 from polishd.plugins.rnc_robot.gcode.rewrite import scan_program
 from polishd.plugins.rnc_robot.gcode.time_words import Points, ProgramChunk
-from polishd.plugins.rnc_robot.languages.columns import numbers
+from polishd.plugins.rnc_robot.languages.columns import NONE, StatedBy, numbers
+from polishd.plugins.rnc_robot.languages.move_times import timeless_lines
 from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
+from polishd.plugins.rnc_robot.languages.timed_moves import locations, require_rules, timed_moves
 
 _SILENT = frozenset((b"COMMENT", b"MESSAGE", b"SET_FEED_RATE", b"SET_FEED_MODE", b"DWELL"))
 """Calls that move nothing; a change of times may change them."""
@@ -248,6 +250,47 @@ def _of_language(program: Program, profile: LanguageProfile) -> ProgramMotion:
     )
 
 
+def _of_moves(program: Program, profile: LanguageProfile) -> ProgramMotion:
+    """Compare all motions: where they lead, and the speed of those that are no points."""
+    found = scan(profile, program.text, program.name, keep_columns=True)
+    moves, (columns, _) = timed_moves(found), require_rules(found)
+    xyz_mm, turn = locations(found, columns, np.zeros(0, dtype=np.int64))
+    speed = np.array(columns.number) * np.array(columns.factor)
+    speed[moves.rows] = np.nan
+    stated, dwell = numbers(columns.stated), numbers(columns.dwell)
+    point = np.flatnonzero(dwell != NONE) if program.encoding == "dwell" else moves.rows
+    spans = np.column_stack([numbers(columns.start), numbers(columns.end)])[moves.rows]
+    return ProgramMotion(
+        program=program,
+        line=numbers(columns.move_line),
+        kind=np.where(stated == StatedBy.APPROACH, 0, 1),
+        places=np.column_stack([xyz_mm, turn, speed]),
+        point=point,
+        spans=spans,
+    )
+
+
+def _timeless_texts(
+    old: ProgramMotion, new: ProgramMotion, profile: LanguageProfile
+) -> tuple[tuple[LineChange, ...], str | None]:
+    """As `_texts`, of programs in a robot language whose moves carry their time, or carried it before."""
+    recoded = (old.program.encoding == "dwell") != (new.program.encoding == "dwell")
+    one, other = (
+        timeless_lines(
+            scan(profile, side.program.text, side.program.name, keep=True, keep_columns=True), recoded=recoded
+        )
+        for side in (old, new)
+    )
+    for (number, line), (new_number, new_line) in zip_longest(one, other, fillvalue=(0, b"")):
+        if line != new_line:
+            before, after = (
+                text.replace(TIME, b"..").decode("ascii", "backslashreplace").strip()[:120] for text in (line, new_line)
+            )
+            change = LineChange("other", number or None, new_number or None, before, after)
+            return (change,), str(change)
+    return (), None
+
+
 # Lines of two programs that differ in more than the numbers that carry time, and which changes are allowed.
 
 Kind = Literal["comment", "timing", "other"]
@@ -463,7 +506,11 @@ def verify(old: bytes | Path, new: bytes | Path, dialect: AnyDialect, *, with_rs
     """
     nc = readable(dialect) if with_rs274 else None
     one, other = (motion(dialect, *_content(program, name)) for program, name in ((old, "old"), (new, "new")))
-    listed, difference = _texts(one, other, dialect)
+    if not isinstance(dialect, GcodeDialect) and {one.program.encoding, other.program.encoding} != {"dwell"}:
+        one, other = (_of_moves(side.program, dialect) for side in (one, other))
+        listed, difference = _timeless_texts(one, other, dialect)
+    else:
+        listed, difference = _texts(one, other, dialect)
     difference = difference or _places(one, other)
     proved = [
         f"text: {one.program.lines} lines, every byte but the {len(other.spans)} numbers that carry time"
@@ -522,9 +569,9 @@ def _places(old: ProgramMotion, new: ProgramMotion) -> str | None:
 
 
 def _words(place: FloatArray) -> str:
-    names = COLUMNS if len(place) == len(COLUMNS) else ("x", "y", "z", "i", "j", "k")
+    names = COLUMNS if len(place) == len(COLUMNS) else ("x", "y", "z", "i", "j", "k", " ", " ")
     return " ".join(
-        f"{name}{value!r}" for name, value in zip(names, place.tolist(), strict=True) if not math.isnan(value)
+        f"{name}{value!r}" for name, value in zip(names, place.tolist(), strict=False) if not math.isnan(value)
     )
 
 

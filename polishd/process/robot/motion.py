@@ -20,7 +20,10 @@ def least_time_s(program: Program, envelope: Envelope) -> FloatArray:
 
     Not quite a bound for each block alone: a slow neighbour lowers the speed at the junction.
     """
-    return delivered_time_s(program, np.zeros(program.n), envelope)
+    fastest = delivered_time_s(program, np.zeros(program.n), envelope)
+    if program.timing is None:
+        return fastest
+    return np.maximum(fastest, program.timing.resolution_s * _blend_factor(program) + envelope.block_overhead_s)
 
 
 def most_time_s(program: Program, envelope: Envelope) -> FloatArray:
@@ -37,8 +40,9 @@ def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -
 
     Each block runs at the requested feed (at most ``max_feed_mm_s``) with a trapezoidal speed profile; the speed at
     a junction is at most either block's and what acceleration can reach from both sides; the machine stops at the
-    path's ends, at gaps, and where the direction changes by more than ``corner_deg``. A dwell is run after its move
-    from rest to rest at the largest feed. Each point takes ``block_overhead_s`` besides.
+    path's ends, at gaps, at moves that are programmed to stop, and where the direction changes by more than
+    ``corner_deg``. The blend at a move's end adds its share of the move's time (``Program.timing``). A dwell is run
+    after its move from rest to rest at the largest feed. Each point takes ``block_overhead_s`` besides.
 
     Args:
         program: the path.
@@ -63,7 +67,27 @@ def delivered_time_s(program: Program, time_s: FloatArray, envelope: Envelope) -
     limit = np.zeros(program.n + 1)
     limit[1:-1] = np.where(_stops(program, envelope.corner_deg), 0.0, np.minimum(feed[1:], feed[:-1]))
     speed = _reachable(limit, length, envelope.accel_mm_s2)
-    return _trapezoid_s(length, feed, speed, envelope.accel_mm_s2) + envelope.block_overhead_s
+    moving_s = _trapezoid_s(length, feed, speed, envelope.accel_mm_s2)
+    return moving_s * _blend_factor(program) + envelope.block_overhead_s
+
+
+def asked_time_s(program: Program, wanted_s: FloatArray, envelope: Envelope) -> FloatArray:
+    """(n,) s to write for the points to take ``wanted_s``, where the machine reaches its feeds; never negative.
+
+    Of a dwell, the time that its move takes is not written; of a move, its block's overhead and the share of its blend.
+    No move is asked to be slower than the smallest feed: where acceleration makes it so, it takes longer than asked.
+    """
+    if program.encoding == "dwell":
+        return np.maximum(wanted_s - least_time_s(program, envelope), 0.0)
+    asked = np.maximum(wanted_s - envelope.block_overhead_s, 0.0) / _blend_factor(program)
+    return np.asarray(np.minimum(asked, program.length_mm / envelope.min_feed_mm_s), dtype=np.float64)
+
+
+def _blend_factor(program: Program) -> FloatArray:
+    """(n,) ratio of what a move takes and what its speed or time says, because of the blend at its end."""
+    if program.timing is None:
+        return np.ones(program.n)
+    return np.where(program.timing.stops, 1.0, 1.0 + program.timing.blend_share)
 
 
 def learn_overhead_s(program: Program, asked_s: FloatArray, executed_s: FloatArray, envelope: Envelope) -> float:
@@ -95,7 +119,8 @@ def _stops(program: Program, corner_deg: float) -> BoolArray:
     cosine = np.einsum("ij,ij->i", way[1:], way[:-1]) / (scale[1:] * scale[:-1])
     # a little inclusive: corners of exactly corner_deg are run through whatever the rounding
     corner = cosine < np.cos(np.radians(corner_deg)) - 1e-12
-    return np.asarray(corner | gap | still[1:] | still[:-1], dtype=np.bool_)
+    stops = np.zeros(program.n, dtype=np.bool_) if program.timing is None else program.timing.stops
+    return np.asarray(corner | gap | still[1:] | still[:-1] | stops[:-1], dtype=np.bool_)
 
 
 def _reachable(limit: FloatArray, length: FloatArray, accel: float) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from polishd.model.errors import ConfigError, PlanRefused
 from polishd.model.part_handling import HandlingStep, TouchOff
 from polishd.pipeline import part_handling
 from polishd.pipeline.build_recipe import make_recipe
+from polishd.pipeline.part_handling import touch_off_of
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.steps import in_part_frame
 from polishd.plugin_loader import Hooks, load_own
@@ -79,7 +81,6 @@ def test_on_a_curved_part_they_lie_on_its_surface(cell: Cell, hooks: Hooks) -> N
         ),
         ({"touch_off": {"points_mm": [[0, 49], [0, 52]]}}, r"touch_off\.points_mm: has too few"),
         ({"touch_off": {"force_n": 1.2}}, "touch_off.force_n"),
-        ({"program": {"format": "rapid"}}, "touch_off: no programs are made in 'rapid'"),
         ({"part_handling": {"settle": {}}}, r"part_handling\.settle: .*repeatability.*\[repeatability\] rms_nm"),
         ({"part_handling": {"clean": {}}}, r"part_handling\.clean\.operator: "),
         (
@@ -94,6 +95,13 @@ def test_what_cannot_be_is_refused_with_its_key(
 ) -> None:
     with pytest.raises(ConfigError, match=rf"cell\.toml:\d+: {says}"):
         make_recipe(cell(**toml(sections)), hooks)
+
+
+def test_a_touch_off_needs_a_format_that_writes_programs(cell: Cell, hooks: Hooks) -> None:
+    config = cell()
+    mute = replace(hooks.program_formats()["rs274"], make=None)
+    with pytest.raises(ConfigError, match=r"cell\.toml:\d+: touch_off: no programs are made in 'rs274'"):
+        touch_off_of(config, mute)
 
 
 def toml(sections: dict[str, dict[str, object]]) -> dict[str, dict[str, object]]:

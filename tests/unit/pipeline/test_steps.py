@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -20,6 +21,10 @@ from polishd.pipeline.acceptance import forecast_of
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse, ExecutedPass, MeasureResult, SolveResult
 from polishd.plugins import dwell_solvers
+from polishd.plugins.plan_checks import polishd_check_plan
+from polishd.plugins.rnc_robot.dialect import dialect
+from polishd.plugins.rnc_robot.formats import format_of
+from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
@@ -621,3 +626,41 @@ def test_low_orders_are_doubted_before_anything_is_learned(
     assert "warm still" in settled.notes[0]
     assert steps.harmful_changes(small_recipe(tolerance_nm=2.0), seen) == seen
     assert steps.harmful_changes(small_recipe(tolerance_nm=20.0), seen) == ()
+
+
+@pytest.mark.parametrize("language", ["rapid", "krl", "fanuc-tp", "urscript", "inform", "val3", "heidenhain"])
+def test_a_plan_in_a_robot_language_keeps_to_its_speeds_and_times(language: str) -> None:
+    profile = cast(LanguageProfile, dialect(language))
+    assert profile.move_time is not None
+    coarse = profile.move_time.model_copy(update={"least_mm_s": 4.0, "greatest_mm_s": 30.0, "quantum_s": 0.002})
+    form = format_of(profile.model_copy(update={"move_time": coarse}))
+    path = small_program()
+    points = np.vstack([path.start_mm[:1], path.end_mm])
+    axis = np.vstack([path.axis[:1], path.axis])
+    assert form.make is not None
+    program = form.read(form.make(points, axis, 600.0, "small"), "small")
+    recipe = small_recipe(format=form)
+    measured = steps.condition(recipe, small_map())
+    limits = steps.envelope_of(recipe, program)
+    assert (limits.min_feed_mm_s, limits.max_feed_mm_s) == (
+        max(4.0, recipe.envelope.min_feed_mm_s), min(30.0, recipe.envelope.max_feed_mm_s),
+    )  # fmt: skip
+    solved = dwell_step.solve(recipe, program, measured)
+    plan = steps.rewrite(recipe, program, solved, "small")
+    asked_mm_s = plan.program.length_mm / plan.program.time_s
+    assert 3.9 <= asked_mm_s.min() < 6.0
+    assert asked_mm_s.max() <= 30.3
+    np.testing.assert_allclose(plan.program.time_s, solved.asked_s, rtol=0.011, atol=0.002)
+    assert plan.program.time_s.sum() == pytest.approx(solved.asked_s.sum(), abs=0.01)
+    assert list(polishd_check_plan(plan, recipe.envelope)) == []
+
+
+def test_a_language_and_a_machine_without_a_common_speed_are_refused() -> None:
+    form = format_of(dialect("krl"))
+    path = small_program()
+    assert form.make is not None
+    program = form.read(form.make(path.end_mm, path.axis, 600.0, "small"), "small")
+    assert program.timing is not None
+    slow = replace(program, timing=replace(program.timing, greatest_mm_s=1e-3, least_mm_s=1e-4))
+    with pytest.raises(ComputeError, match=r"krl states 0\.0001 to 0\.001 mm/s, the machine runs"):
+        steps.envelope_of(small_recipe(), slow)

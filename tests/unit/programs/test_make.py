@@ -340,7 +340,11 @@ def test_usage(words: tuple[str, ...], tmp_path: Path) -> None:
         (("--aperture", "circle:20", "--dip", 95), ComputeError, "the dip is 95 deg"),
         (("--aperture", "circle:20", "--feed", 1e-9), ProgramError, "leave a feed of 0"),
         (("--aperture", "circle:20", "--dwell", 1e-7), ProgramError, "dwells of 1e-07 to 1e-07 s"),
-        (("--aperture", "circle:20", "--dialect", "rapid"), ProgramError, "no programs are made in rapid"),
+        (
+            ("--aperture", "circle:20", "--dialect", "rapid", "--feed", 1e6),
+            ProgramError,
+            "a timed move takes 0.05 to 250",
+        ),
         (("--aperture", "circle:20", "--dialect", "none"), ConfigError, "'none' is not known"),
         (("--cell", "nowhere.toml"), ConfigError, "nowhere.toml"),
     ],

@@ -6,6 +6,7 @@ import math
 from array import array
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -68,6 +69,62 @@ class PointColumns:
         return len(self.time)
 
 
+class StatedBy(IntEnum):
+    """What states the time of a move."""
+
+    APPROACH = -1
+    """It is no feed move."""
+    UNKNOWN = 0
+    """No number."""
+    TIME = 1
+    """The seconds that the move itself states."""
+    RATE = 2
+    """The speed that the move itself states."""
+    MODAL = 3
+    """The speed that was set last."""
+    FIXED = 4
+    """The name of a speed, which is never rewritten."""
+
+
+@dataclass(slots=True)
+class MoveColumns:
+    """All motions in program order, m of them; 150 bytes each. Kept until a dwell shows that dwells carry the time."""
+
+    xyz_mm: array[float] = field(default_factory=lambda: array("d"))
+    """(3 m) as of `PointColumns`; NaN where the program does not state it."""
+    turn: array[float] = field(default_factory=lambda: array("d"))
+    move_line: array[int] = field(default_factory=lambda: array("q"))
+    target: array[int] = field(default_factory=lambda: array("l"))
+    context: array[int] = field(default_factory=lambda: array("l"))
+    targets: ValueNumbers[str] = field(default_factory=ValueNumbers)
+    contexts: ValueNumbers[Context] = field(default_factory=ValueNumbers)
+    stated: array[int] = field(default_factory=lambda: array("b"))
+    """`StatedBy`"""
+    number: array[float] = field(default_factory=lambda: array("d"))
+    """As written; NaN: none."""
+    factor: array[float] = field(default_factory=lambda: array("d"))
+    """One unit of it, in s or in mm/min."""
+    start: array[int] = field(default_factory=lambda: array("q"))
+    end: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets of the number, of a modal speed in the statement that set it; -1: none."""
+    here: array[int] = field(default_factory=lambda: array("q"))
+    there: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets that enclose what states the time; -1: the move has no such location."""
+    begin: array[int] = field(default_factory=lambda: array("q"))
+    until: array[int] = field(default_factory=lambda: array("q"))
+    """Byte offsets of the statement."""
+    stops: array[int] = field(default_factory=lambda: array("b"))
+    arc: array[int] = field(default_factory=lambda: array("b"))
+    feed_of: array[int] = field(default_factory=lambda: array("l"))
+    """Number of the name that the move's speed is set by; ``NONE``: no name."""
+    names: ValueNumbers[str] = field(default_factory=ValueNumbers)
+    dwell: array[int] = field(default_factory=lambda: array("q"))
+    """Number of the point whose dwell stands behind the move; ``NONE``: no dwell."""
+
+    def __len__(self) -> int:
+        return len(self.stated)
+
+
 @dataclass(slots=True)
 class Positions:
     """Declared positions by name, in the order of their declaration."""
@@ -112,7 +169,7 @@ def numbers(column: array[int]) -> IntArray:
 
 # From how a robot language writes an orientation to the tool axis.
 
-Convention = Literal["quaternion", "euler_deg", "rotation_vector_rad"]
+Convention = Literal["quaternion", "euler_deg", "rotation_vector_rad", "rotary_deg", "vector"]
 
 ROWS = 1 << 14
 """Orientations that are turned into axes at once."""
@@ -121,14 +178,18 @@ UNIT_WITHIN = 1e-3
 
 
 def is_rotation(convention: Convention, values: Sequence[float]) -> bool:
-    """Whether the numbers (3 or 4) of one orientation are one: finite, and a quaternion of unit length."""
+    """Whether the numbers (2 to 4) of one orientation are one: finite, a quaternion or vector of unit length."""
     if not all(map(math.isfinite, values)):
         return False
+    if convention == "vector":
+        return abs(math.hypot(*values) - 1) <= UNIT_WITHIN
     return convention != "quaternion" or abs(math.hypot(*values) - 1) <= UNIT_WITHIN
 
 
 def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_into_part: bool) -> FloatArray:
     """Unit tool axis (n, 3), from the tip into the spindle, of n orientations.
+
+    A ``vector`` is the tool's z itself; ``rotary_deg`` are two rotary axes, ``axes`` CA: Rz(C) Rx(A) (0, 0, 1).
 
     ``values`` is (n, 4) for quaternions (scalar first) and (n, 3) otherwise; ``axes`` are those of Euler angles in
     degrees, in the order of ``values``, upper case for turned axes (``ZYX``: KUKA's A, B, C), lower for fixed ones
@@ -138,7 +199,13 @@ def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_i
     found = np.empty((len(values), 3))
     for first in range(0, len(values), ROWS):  # a matrix is three times what is asked of it
         part = values[first : first + ROWS]
-        if convention == "quaternion":
+        if convention == "vector":
+            found[first : first + ROWS] = part / np.linalg.norm(part, axis=1, keepdims=True)
+            continue
+        if convention == "rotary_deg":
+            turned = axes.translate(str.maketrans("ABC", "XYZ"))
+            rotation = scipy.spatial.transform.Rotation.from_euler(turned, part, degrees=True)
+        elif convention == "quaternion":
             rotation = scipy.spatial.transform.Rotation.from_quat(part[:, [1, 2, 3, 0]])
         elif convention == "euler_deg":
             rotation = scipy.spatial.transform.Rotation.from_euler(axes, part, degrees=True)

@@ -9,7 +9,16 @@ from dataclasses import dataclass, field
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.gcode.refusals import refuse
-from polishd.plugins.rnc_robot.languages.columns import NONE, Context, PointColumns, Positions, WrittenPose, is_rotation
+from polishd.plugins.rnc_robot.languages.columns import (
+    NONE,
+    Context,
+    MoveColumns,
+    PointColumns,
+    Positions,
+    StatedBy,
+    WrittenPose,
+    is_rotation,
+)
 from polishd.plugins.rnc_robot.languages.profile import Kind, LanguageProfile
 
 # A program's text as statements, each matched by a template; unmatched text is refused.
@@ -104,6 +113,26 @@ class Move:
     context: Context
 
 
+@dataclass(frozen=True, slots=True)
+class ModalFeed:
+    """A speed that holds for the moves behind it."""
+
+    text: str
+    unit: str
+    span: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class StatedTime:
+    """What states the time of a move, and where."""
+
+    by: StatedBy
+    number: float = math.nan
+    factor: float = math.nan
+    """One unit of the number, in s or in mm/min."""
+    span: tuple[int, int] = (-1, -1)
+
+
 @dataclass(slots=True)
 class Scan:
     """A whole program: its points as columns, the rest counted."""
@@ -113,6 +142,9 @@ class Scan:
     kept: list[MatchedStatement] | None = None
     """All statements, on request only: a kilobyte each."""
     points: PointColumns = field(default_factory=PointColumns)
+    columns: MoveColumns | None = field(default_factory=MoveColumns)
+    """All motions; None once a dwell has shown that dwells carry the time, unless all are wanted."""
+    keep_columns: bool = False
     positions: Positions = field(default_factory=Positions)
     moves: int = 0
     """Feed moves."""
@@ -129,6 +161,12 @@ class Scan:
     """The line that ``body_lines`` counted last."""
     warnings: dict[str, None] = field(default_factory=dict)
     modal: dict[str, str] = field(default_factory=dict)
+    feeds: dict[str | None, ModalFeed] = field(default_factory=dict)
+    """The speed that was set last, by the name that it was set for."""
+    axes: dict[str, float] = field(default_factory=dict)
+    """Coordinates that were stated last, where these hold."""
+    speeds: dict[str, float] = field(default_factory=dict)
+    """Declared speeds by name, mm/min."""
     last: Move | None = None
     """The last feed move."""
     at: Move | None = None
@@ -155,9 +193,19 @@ class Scan:
         return name.lower() if self.profile.ignore_case else name
 
 
-def scan(profile: LanguageProfile, text: bytes, name: str, *, keep: bool = False) -> Scan:
-    """Read a program through; with ``keep`` all its statements, too. ProgramError where it may mean several things."""
-    found = Scan(profile, ProgramSource(text, name), [] if keep else None)
+def scan(profile: LanguageProfile, text: bytes, name: str, *, keep: bool = False, keep_columns: bool = False) -> Scan:
+    """Read a program through. ProgramError where it may mean several things.
+
+    Args:
+        profile: the language.
+        text: the program.
+        name: for messages.
+        keep: keep all its statements, too.
+        keep_columns: keep the columns of all its motions, although dwells carry the time.
+    """
+    found = Scan(profile, ProgramSource(text, name), [] if keep else None, keep_columns=keep_columns)
+    if profile.move_time is None:
+        found.columns = None
     for statement in statements(profile, found.source):
         if found.finished:
             raise found.refuse(statement, "a statement after the end of the program", "remove it")
@@ -177,17 +225,19 @@ def scan(profile: LanguageProfile, text: bytes, name: str, *, keep: bool = False
 def _move(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     target = statement.text("target")
+    stated = _stated(found, statement)
     move = Move(
         statement.line,
         place_of(found, statement) if target is None else None,
         None if target is None else found.folded(target),
         _offset(found, statement),
-        _stops(found.profile, statement.text("zone")),
-        _feed(found, statement),
+        _stops(found, statement),
+        stated.number * stated.factor if stated.by > StatedBy.TIME else math.nan,
         _context(found, statement),
     )
     if target is not None and found.profile.declare_before_use and move.target not in found.positions:
         raise found.refuse(statement, f"the position {target} is not declared before its use", POSTED)
+    _keep_motion(found, statement, move, stated)
     _leave_bare(found)
     found.moves += 1
     found.last = found.at = move
@@ -209,9 +259,51 @@ def _offset(found: Scan, statement: MatchedStatement) -> tuple[float, float, flo
     return dx, dy, dz
 
 
+def _keep_motion(found: Scan, statement: MatchedStatement, move: Move, stated: StatedTime) -> None:
+    """A motion's row among the columns of all of them, where these are kept."""
+    columns = found.columns
+    if columns is None:
+        return
+    if move.place is not None:
+        columns.xyz_mm.extend(value + more for value, more in zip(move.place.xyz_mm, move.offset_mm, strict=True))
+        columns.turn.extend(move.place.turn)
+    else:
+        columns.xyz_mm.extend(move.offset_mm if move.target is not None else [math.nan] * 3)
+        columns.turn.extend([math.nan] * len(found.profile.orientation.fields))
+    columns.move_line.append(move.line)
+    columns.target.append(NONE if move.target is None else columns.targets.of(move.target))
+    columns.context.append(columns.contexts.of(move.context))
+    columns.stated.append(stated.by)
+    columns.number.append(stated.number)
+    columns.factor.append(stated.factor)
+    columns.start.append(stated.span[0])
+    columns.end.append(stated.span[1])
+    groups = statement.match.re.groupindex
+    here = statement.match.start("here") if "here" in groups else -1
+    columns.here.append(here)
+    columns.there.append(statement.match.start("there") if "there" in groups else here)
+    begin, end = statement.match.span()
+    columns.begin.append(begin)
+    columns.until.append(end)
+    columns.stops.append(move.stops)
+    columns.arc.append("via" in groups)
+    feed_of = _feed_of(found, statement)
+    columns.feed_of.append(NONE if feed_of is None else columns.names.of(feed_of))
+    columns.dwell.append(NONE)
+
+
 def _approach(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     found.at = None
+    if found.columns is not None:
+        target, fields = statement.text("target"), statement.match.re.groupindex
+        stated = "x" in fields and (statement.text("x") is not None or found.profile.modal_axes)
+        place = place_of(found, statement) if stated else None
+        named = None if target is None else found.folded(target)
+        move = Move(
+            statement.line, place, named, _offset(found, statement), False, math.nan, _context(found, statement)
+        )
+        _keep_motion(found, statement, move, StatedTime(StatedBy.APPROACH))
 
 
 def _dwell(found: Scan, statement: MatchedStatement) -> None:
@@ -226,6 +318,11 @@ def _dwell(found: Scan, statement: MatchedStatement) -> None:
         if not move.stops and statement.kind == "dwell":
             _fly_by(found, statement, move)
         found.dwelled = True
+        if found.columns is not None:
+            if found.keep_columns:
+                found.columns.dwell[-1] = len(found.points)
+            else:
+                found.columns = None
         _keep_point(found, statement, time, move)
     found.dwells += 1
 
@@ -268,15 +365,32 @@ def _position(found: Scan, statement: MatchedStatement) -> None:
     if found.folded(name) in found.positions:
         other = found.positions.line[found.positions.number[found.folded(name)]]
         raise found.refuse(statement, f"the position {name} is declared in line {other} too", "keep one of them")
-    context = statement.text("tool"), statement.text("frame")
+    context: Context = statement.text("tool"), statement.text("frame")
+    if found.profile.modal_positions:
+        context = _context(found, statement)
     found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
 
 
 def _neutral(found: Scan, statement: MatchedStatement) -> None:
-    for name in ("tool", "frame", "feed"):
+    for name in ("tool", "frame", "zone"):
         text = statement.text(name)
         if text is not None:
             found.modal[name] = text
+    if (feed := statement.text("feed")) is not None:
+        found.feeds[_feed_of(found, statement)] = ModalFeed(
+            feed, statement.text("feed_unit") or "", statement.match.span("feed")
+        )
+
+
+def _feed_of(found: Scan, statement: MatchedStatement) -> str | None:
+    name = statement.text("feed_of")
+    return None if name is None else found.folded(name)
+
+
+def _speed(found: Scan, statement: MatchedStatement) -> None:
+    """A speed declared under a name."""
+    factor = _factor(found, statement.text("feed_unit"))
+    found.speeds[found.folded(statement.text("feed_name") or "")] = (statement.number("rate") or math.nan) * factor
 
 
 def _assumed(found: Scan, statement: MatchedStatement) -> None:
@@ -315,7 +429,8 @@ def _finish(found: Scan, statement: MatchedStatement) -> None:
 
 _TAKE = {
     "move": _move, "approach": _approach, "dwell": _dwell, "dwell_in_position": _dwell, "position": _position,
-    "neutral": _neutral, "assumed": _assumed, "begin": _begin, "end": _end, "run": _run, "finish": _finish,
+    "speed": _speed, "neutral": _neutral, "assumed": _assumed, "begin": _begin, "end": _end, "run": _run,
+    "finish": _finish,
 }  # fmt: skip
 
 
@@ -340,6 +455,9 @@ def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
     profile = found.profile
     names = ("x", "y", "z", *profile.orientation.fields)
     written = [statement.number(name) for name in names]
+    if profile.modal_axes:
+        found.axes |= {name: value for name, value in zip(names, written, strict=True) if value is not None}
+        written = [found.axes.get(name, 0.0 if name not in "xyz" else None) for name in names]
     if None in written:
         raise found.refuse(statement, "the position is not complete", POSTED)
     x, y, z, *turn = (value or 0.0 for value in written)
@@ -351,8 +469,12 @@ def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
     return WrittenPose(xyz_mm, tuple(turn))
 
 
-def _stops(profile: LanguageProfile, zone: str | None) -> bool:
-    if zone is None or zone.lower() in profile.exact_stop:
+def _stops(found: Scan, statement: MatchedStatement) -> bool:
+    profile = found.profile
+    zone = statement.text("zone") if "zone" in statement.match.re.groupindex else found.modal.get("zone")
+    if zone is None:
+        return not profile.blends_without_zone
+    if zone.lower() in profile.exact_stop:
         return True
     try:
         return float(zone) == 0
@@ -360,18 +482,43 @@ def _stops(profile: LanguageProfile, zone: str | None) -> bool:
         return False
 
 
-def _feed(found: Scan, statement: MatchedStatement) -> float:
-    """Feed in mm/min, of the move itself or as it was set before; NaN where neither is a number, or a time rules."""
-    units = found.profile.feed_units_mm_min
-    own = "feed" in statement.match.re.groupindex
-    text = statement.text("feed") if own else found.modal.get("feed")
-    factor = units.get((statement.text("feed_unit") or "").lower())
-    if text is None or factor is None or statement.number("t"):
-        return math.nan
+def _factor(found: Scan, unit: str | None) -> float:
+    """One written unit of a speed, mm/min; NaN where it is not known."""
+    return found.profile.feed_units_mm_min.get((unit or "").lower(), math.nan)
+
+
+def _stated(found: Scan, statement: MatchedStatement) -> StatedTime:
+    """What states the move's time: its own time or speed, or a speed that was set before."""
+    rules, groups = found.profile.move_time, statement.match.re.groupindex
+    if statement.number("t"):
+        factor = math.nan if rules is None else rules.units_s.get((statement.text("t_unit") or "").lower(), math.nan)
+        return StatedTime(StatedBy.TIME, statement.number("t") or math.nan, factor, statement.match.span("t"))
+    if statement.text("rate") is not None:
+        number = statement.number("rate") or math.nan
+        factor = _factor(found, statement.text("feed_unit"))
+        return StatedTime(StatedBy.RATE, number, factor, statement.match.span("rate"))
+    named = statement.text("feed_name")
+    if named is not None:
+        declared = found.speeds.get(found.folded(named), math.nan)
+        return StatedTime(StatedBy.UNKNOWN if math.isnan(declared) else StatedBy.FIXED, declared, 1.0)
+    own = statement.text("feed")
+    unit: str | None = statement.text("feed_unit")
+    holds = rules is not None and rules.feed_holds
+    by, span = StatedBy.RATE, statement.match.span("feed") if own is not None else (-1, -1)
+    if own is None and ("feed" not in groups or holds):
+        modal = found.feeds.get(_feed_of(found, statement), ModalFeed("", "", span))
+        own, unit, by, span = modal.text or None, modal.unit, StatedBy.MODAL, modal.span
+    elif own is not None and holds:
+        found.feeds[None] = ModalFeed(own, unit or "", span)
+    if own is None:
+        return StatedTime(StatedBy.UNKNOWN)
     try:
-        return float(text) * factor
+        number = float(own)
     except ValueError:
-        return math.nan
+        return StatedTime(StatedBy.UNKNOWN)
+    if by is StatedBy.RATE and rules is not None and rules.fixed_feeds:
+        by = StatedBy.FIXED
+    return StatedTime(by, number, _factor(found, unit), span)
 
 
 def _context(found: Scan, statement: MatchedStatement) -> Context:

@@ -23,6 +23,8 @@ _TOKEN = re.compile(
     r"|(?P<blank>[ ]+)|(?P<word>\w+)|(?P<mark>.)"
 )
 _WORDY = ("field", "choice", "word")
+MARKERS = frozenset({"here", "there"})
+"""Fields of no length: a move's speed or time is written between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,8 @@ def _part(index: int, tokens: Sequence[tuple[str, str]], blank: str, writing: Wr
             between = _wordy(tokens[index - 1 :: -1]) and _wordy(tokens[index + 1 :])
             return f"{blank}{'++' if between else '*+'}"
         case "field":
+            if text in MARKERS:
+                return f"(?P<{text}>)"
             default = NUMBER if text in writing.numbers else NAME
             return f"(?P<{text}>{writing.fields.get(text, default)})"
         case "choice":
@@ -75,12 +79,13 @@ def _part(index: int, tokens: Sequence[tuple[str, str]], blank: str, writing: Wr
 
 def _wordy(tokens: Sequence[tuple[str, str]]) -> bool:
     """Whether the nearest token is a word, number or field, whatever may be there or not in between."""
-    nearest = next((kind for kind, _ in tokens if kind not in {"open", "close"}), "mark")
+    between = {"open", "close"}
+    nearest = next((kind for kind, text in tokens if kind not in between and text not in MARKERS), "mark")
     return nearest in _WORDY
 
 
 Kind = Literal[
-    "move", "dwell", "dwell_in_position", "approach", "position", "neutral", "begin", "end", "run", "finish",
+    "move", "dwell", "dwell_in_position", "approach", "position", "speed", "neutral", "begin", "end", "run", "finish",
     "assumed", "refused",
 ]  # fmt: skip
 TAKEN: tuple[Kind, ...] = get_args(Kind)[:-2]
@@ -102,17 +107,21 @@ class OrientationNotation(_Strict):
     fields: list[Text]
     """Names of the fields: scalar first for a quaternion, in the order of ``axes`` for Euler angles."""
     axes: str = ""
-    """Of Euler angles: three of XYZ about turned axes, or of xyz about fixed ones."""
+    """Of Euler angles: three of XYZ about turned axes, or of xyz about fixed ones; of rotary axes: two of ABC, the
+    outermost first."""
     tool_z: Literal["into_part", "out_of_part"] = "into_part"
     """Where the tool frame's z points."""
 
     @model_validator(mode="after")
     def _complete(self) -> OrientationNotation:
-        count = 4 if self.convention == "quaternion" else 3
+        count = {"quaternion": 4, "rotary_deg": 2}.get(self.convention, 3)
         if len(self.fields) != count:
             raise ValueError(f"{self.convention} has {count} fields")
-        if (self.convention == "euler_deg") != bool(re.fullmatch(r"[XYZ]{3}|[xyz]{3}", self.axes)):
-            raise ValueError("axes: three of XYZ (turned) or xyz (fixed), with euler_deg and only with it")
+        form = {"euler_deg": "[XYZ]{3}|[xyz]{3}", "rotary_deg": "[ABC]{2}"}.get(self.convention, "")
+        if not re.fullmatch(form, self.axes):
+            raise ValueError(
+                "axes: three of XYZ (turned) or xyz (fixed) with euler_deg, two of ABC with rotary_deg, none otherwise"
+            )
         return self
 
 
@@ -150,24 +159,117 @@ class Dwell(_Strict):
         return round(steps) > 0 and abs(steps - round(steps)) < 1e-6
 
 
+class MoveTime(_Strict):
+    """How a move states its time, what may be written of it, and what the blend at its end does to it.
+
+    ``time``, ``feed``, ``feed_line`` and ``wait`` are texts with fields ``<t>``, ``<feed>``, ``<time>`` and ``<n>`` (a
+    line's number); empty: the language, or this controller, has no such form.
+    """
+
+    units_s: dict[str, Annotated[float, Field(ge=1e-9, le=1e6)]] = Field(default_factory=lambda: {"": 1.0})
+    """One written unit of ``t`` by what the field ``t_unit`` holds (lower case; "" where there is none)."""
+    time_unit: str = ""
+    """Key of ``units_s``: the unit of a ``t`` that is written anew."""
+    quantum_s: float = Field(0.001, ge=1e-9, le=1e3)
+    """Step of a written ``t``, s."""
+    speed_quantum: float = Field(ge=1e-12, le=1e3)
+    """Step of a written speed, in its unit."""
+    speed_unit: str = ""
+    """Key of ``feed_units_mm_min``: the unit of a speed that is written anew."""
+    fixed_feeds: bool = False
+    """The field ``feed`` is the name of a constant: another speed is written between <here> and <there>."""
+    feed_holds: bool = False
+    """The speed of a move holds for the moves behind it that state none."""
+    least_mm_s: float = Field(gt=0)
+    greatest_mm_s: float = Field(gt=0)
+    """Least and greatest speed of a timed move. A faster move leads in, out or across, and is no point."""
+    blend_share: float = Field(0.0, ge=-0.5, le=1.0)
+    """Time that the blend at a move's end adds, as a share of the move's time; negative where it saves time."""
+    time: str = ""
+    """A move's time, between <here> and <there>."""
+    feed: str = ""
+    """A move's speed, between <here> and <there>."""
+    feed_line: str = ""
+    """A statement before a move that sets the speed from there on."""
+    wait: str = ""
+    """A statement behind a move."""
+    first_number: int = Field(1, ge=0, le=1)
+    """Number of the first line, where lines are numbered."""
+    numbered_lines: str = ""
+    """Regular expression of the head's count of numbered lines, the count in a group."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> MoveTime:
+        if self.least_mm_s >= self.greatest_mm_s:
+            raise ValueError("least_mm_s: must be less than greatest_mm_s")
+        for name, field in (("time", "<t>"), ("feed", "<feed>"), ("feed_line", "<feed>"), ("wait", "<time>")):
+            text = getattr(self, name)
+            if text and text.count(field) != 1:
+                raise ValueError(f"{name}: needs the field {field} once")
+        if self.numbered_lines and re.compile(self.numbered_lines.encode()).groups != 1:
+            raise ValueError("numbered_lines: needs one group")
+        return self
+
+
+class MakeForm(_Strict):
+    """How a program along a path is written: texts with fields, <x> <y> <z> and the orientation's among them."""
+
+    head: str
+    """Up to the first motion; fields ``program``, ``comment``, ``points``."""
+    approach: str
+    """A joint move to above the first point."""
+    travel: str
+    """A straight move that is no point, faster than ``greatest_mm_s``: down to the first point, up from the last."""
+    move: str
+    """A timed move; ``<timing>`` is its speed or time, ``<feed>`` the speed of moves to a wait."""
+    tail: str
+    """After the last motion."""
+    position: str = ""
+    """A declaration at ``<positions>`` in head or tail, where a move names a position by its number ``<at>``."""
+    decimals: int = Field(4, ge=0, le=9)
+    """Of positions."""
+    turn_decimals: int = Field(5, ge=0, le=9)
+    """Of orientations."""
+    signs: bool = False
+    """Positions are written with their plus."""
+    feed_of: str = ""
+    """``<feed_of>`` of ``move_time.feed_line``."""
+    stop: str = ""
+    """``<zone>`` of a move that stops."""
+    blend: str = ""
+    """``<zone>`` of a move that blends into the next one."""
+    tool: str = ""
+    frame: str = ""
+    """``<tool>`` and ``<frame>``: the names or numbers of the controller."""
+    name: Annotated[str, Field(min_length=1)] = "POLISH"
+    """``<program>``"""
+    ending: Literal["lf", "crlf"] = "lf"
+
+
 class Statements(_Strict):
     """Templates by what the statement is; in each list they are tried from the top."""
 
     move: Templates = []
     """A feed move: x, y, z and the orientation's fields, or ``target``: a declared position (dx, dy, dz added).
 
-    It may have ``zone``, ``tool``, ``frame``, ``feed`` with ``feed_unit``, and ``t``: seconds that it takes itself.
+    It may have ``zone``, ``tool``, ``frame``, ``feed`` or ``rate`` (a speed that is a number) with ``feed_unit``, and
+    ``t`` with ``t_unit``: a time that it takes itself. <here> and <there> enclose what states its speed or time.
     """
     dwell: Templates = []
     """A wait for ``time``."""
     dwell_in_position: Templates = []
     """A wait that begins only when the robot stands still."""
     approach: Templates = []
-    """Any other motion: it leads to no point."""
+    """Any other motion: it leads to no point. With ``target`` or a pose it says where the next move begins."""
     position: Templates = []
     """A position declared under the name ``target``."""
+    speed: Templates = []
+    """A speed ``rate`` declared under the name ``feed_name``."""
     neutral: Templates = []
-    """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves."""
+    """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves.
+
+    ``feed`` and ``zone`` hold for the moves behind it that state none; with ``feed_of`` for those of that name.
+    """
     begin: Templates = []
     end: Templates = []
     """Begin and end of a routine; there may be several, but only one may move."""
@@ -177,7 +279,7 @@ class Statements(_Strict):
     """End of the file: nothing but comments may follow."""
 
 
-NUMBERS = frozenset({"x", "y", "z", "dx", "dy", "dz", "t", "time"})
+NUMBERS = frozenset({"x", "y", "z", "dx", "dy", "dz", "t", "time", "rate"})
 """Fields that are numbers in any language, as the orientation's are; ``feed`` is one unless the profile narrows it."""
 
 
@@ -222,11 +324,21 @@ class LanguageProfile(_Strict):
     """One written unit of ``feed`` by what the field ``feed_unit`` holds (lower case; "" where there is none)."""
     exact_stop: list[Text] = []
     """What the field ``zone`` of a move that stops holds (lower case); no zone and a zone of 0 stop too."""
+    blends_without_zone: bool = False
+    """A move without ``zone`` blends into the next one."""
+    modal_axes: bool = False
+    """A coordinate that a move does not state holds from before; a rotary one is 0 at first."""
+    modal_positions: bool = False
+    """The tool and the frame that were set last hold for a declared position."""
     declare_before_use: bool = False
     line_limit: int = Field(0, ge=0, le=1_000_000_000)
     """Lines of a routine that the controller takes; 0: any number."""
     orientation: OrientationNotation
     dwell: Dwell
+    move_time: MoveTime | None = None
+    """None: only dwells carry time."""
+    make: MakeForm | None = None
+    """None: no programs are made in this language."""
     fields: dict[str, Text] = Field(default_factory=dict)
     """Regular expressions of the templates' fields."""
     statements: Statements
@@ -239,7 +351,7 @@ class LanguageProfile(_Strict):
     def _usable(self) -> LanguageProfile:
         """A language whose templates cannot give a point is refused before a program is."""
         for name, regex in self.fields.items():
-            if name in self.numbers:
+            if name in self.numbers | MARKERS:
                 raise ValueError(f"fields.{name}: is a number, and no regular expression makes it another")
             try:
                 re.compile(regex.encode())
@@ -253,6 +365,8 @@ class LanguageProfile(_Strict):
                 raise ValueError(f"statements.{pattern.kind}: a template fits where nothing is written")
         if "move" not in self.kinds or not self.kinds & {"dwell", "dwell_in_position"}:
             raise ValueError("statements: a language needs a move and a dwell")
+        if self.move_time is not None and self.move_time.speed_unit not in self.feed_units_mm_min:
+            raise ValueError(f"move_time.speed_unit: {self.move_time.speed_unit!r} is none of feed_units_mm_min")
         return self
 
     @property
@@ -313,4 +427,6 @@ def _lacking(pattern: Pattern, place: set[str]) -> set[str]:
         return place - fields
     if pattern.kind == "position":
         return {*place, "target"} - fields
+    if pattern.kind == "speed":
+        return {"feed_name", "rate"} - fields
     return {"time"} - fields if pattern.kind.startswith("dwell") else set()

@@ -12,15 +12,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from itertools import takewhile
+from typing import Any
 
 import numpy as np
 
 from polishd.api import Program, ProgramError
-from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
-from polishd.plugins.rnc_robot.languages.columns import NONE, numbers, table, tool_axis
-from polishd.plugins.rnc_robot.languages.parser import POSTED, MatchedStatement, Scan, scan
+from polishd.plugins.rnc_robot.languages.columns import StatedBy, numbers, tool_axis
+from polishd.plugins.rnc_robot.languages.move_times import feed_unit, rewrite_moves, styled
+from polishd.plugins.rnc_robot.languages.parser import MatchedStatement, Scan, scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
+from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, locations, move_timing, timed_moves
 
 _UNITS = {1.0: "s", 0.001: "ms"}
 FEW = 4
@@ -28,37 +30,89 @@ FEW = 4
 
 
 def read(profile: LanguageProfile, text: bytes, name: str) -> Program:
-    """Read a program; ``name`` is for messages. A point is a feed move with its own dwell.
+    """Read a program; ``name`` is for messages.
 
+    A point is a feed move with its own dwell or, where no feed move has one, a feed move that states its own time.
     ProgramError names the line, what is wrong with it and what to do.
     """
     found = scan(profile, text, name)
+    if not len(found.points) and found.columns is not None and found.moves:
+        return _read_moves(found, timed_moves(found))
     require_points(found)
     points = found.points
-    xyz_mm, turn = _places(found)
+    xyz_mm, turn = locations(found, points)
     feed = np.array(points.feed_mm_min)
-    line = numbers(points.number_line)
-    lines = text.count(b"\n") + (not text.endswith(b"\n"))
+    return _program(
+        found,
+        encoding="dwell",
+        line=numbers(points.number_line),
+        start_mm=xyz_mm,
+        end_mm=xyz_mm,
+        axis=_axes(profile, turn),
+        time_s=np.array(points.time) * profile.dwell.unit_s,
+        feed_mm_min=feed,
+        unit=_UNITS.get(profile.dwell.unit_s, f"{profile.dwell.unit_s:g} s"),
+        warnings=tuple(_warnings(found, feed, len(points))),
+    )
+
+
+def _read_moves(found: Scan, moves: TimedMoves) -> Program:
+    """A program whose moves carry their time."""
+    if not moves.rows.size:
+        raise ProgramError(
+            f"{found.source.name}: no feed move has a dwell, and none leads from one known position to another: "
+            "nothing carries time. To do: check that this is the polishing program, and its dialect."
+        )
+    by_time = moves.stated == StatedBy.TIME
+    named = (moves.stated == StatedBy.TIME) | (moves.stated == StatedBy.FIXED)
+    units = {feed_unit(found.profile, factor) for factor in np.unique(_factors(moves)[~named]).tolist()}
+    if (moves.stated == StatedBy.FIXED).any() and found.profile.move_time is not None:
+        units.add(feed_unit(found.profile, found.profile.feed_units_mm_min[found.profile.move_time.speed_unit]))
+    warnings = (*found.warnings, *moves.warnings)
+    if found.dwells:
+        warnings += (f"{found.dwells} dwells that no feed move leads to are not points and are not changed",)
+    if moves.stops[:-1].any():
+        count = int(moves.stops[:-1].sum())
+        warnings += (f"{count} timed moves end with an exact stop: slowing down and starting again take time there",)
+    line = numbers(moves.columns.move_line)[moves.rows]
+    return _program(
+        found,
+        encoding="time" if by_time.all() else "feed",
+        line=line,
+        start_mm=moves.start_mm,
+        end_mm=moves.end_mm,
+        axis=_axes(found.profile, moves.turn),
+        time_s=moves.time_s,
+        feed_mm_min=moves.feed_mm_min,
+        unit=" and ".join([*(["s"] if by_time.any() else []), *sorted(units)]),
+        warnings=warnings + _length_warning(found),
+        timing=move_timing(found.profile, moves.stops),
+    )
+
+
+def _factors(moves: TimedMoves) -> FloatArray:
+    return np.array(moves.columns.factor)[moves.rows]
+
+
+def _axes(profile: LanguageProfile, turn: FloatArray) -> FloatArray:
+    """(n, 3) unit tool axes."""
     orientation = profile.orientation
+    into = orientation.tool_z == "into_part"
+    return tool_axis(orientation.convention, orientation.axes, turn, tool_z_into_part=into)
+
+
+def _program(found: Scan, **columns: Any) -> Program:
+    """The program's record from its columns."""
+    text = found.source.data
     return Program(
         text=text,
         sha256=hashlib.sha256(text).hexdigest(),
-        name=name,
-        dialect=profile.name,
-        encoding="dwell",
-        line=line,
-        block=line - 1,
-        start_mm=xyz_mm,
-        end_mm=xyz_mm,
-        axis=tool_axis(
-            orientation.convention, orientation.axes, turn, tool_z_into_part=orientation.tool_z == "into_part"
-        ),
-        time_s=np.array(points.time) * profile.dwell.unit_s,
-        lines=lines,
-        feed_mm_min=feed,
-        unit=_UNITS.get(profile.dwell.unit_s, f"{profile.dwell.unit_s:g} s"),
-        max_feed_mm_min=float(np.nanmax(feed, initial=0.0)),
-        warnings=tuple(_warnings(found, feed, len(points))),
+        name=found.source.name,
+        dialect=found.profile.name,
+        block=columns["line"] - 1,
+        lines=text.count(b"\n") + (not text.endswith(b"\n")),
+        max_feed_mm_min=float(np.nanmax(columns["feed_mm_min"], initial=0.0)),
+        **columns,
     )
 
 
@@ -79,64 +133,6 @@ def require_points(found: Scan) -> None:
         )
 
 
-def _places(found: Scan) -> tuple[FloatArray, FloatArray]:
-    """Where the moves lead, (n, 3) mm and (n, k) as the profile writes it; all with the same tool in the same frame."""
-    points, positions = found.points, found.positions
-    rows = len(points)
-    xyz_mm, turn = table(points.xyz_mm, rows).copy(), table(points.turn, rows).copy()
-    target = numbers(points.target)
-    number = np.array([positions.number.get(name, NONE) for name in points.targets.values()], dtype=np.int64)
-    to = np.flatnonzero(target != NONE)
-    declared = number[target[to]]
-    _require_one_context(found, to, declared)
-    if to.size:
-        count = len(positions.line)
-        xyz_mm[to] = table(positions.xyz_mm, count)[declared] + xyz_mm[to]
-        turn[to] = table(positions.turn, count)[declared]
-    return xyz_mm, turn
-
-
-def _require_one_context(found: Scan, to: IntArray, declared: IntArray) -> None:
-    """ProgramError at the first point, in program order, of an unknown position, or of another tool or frame.
-
-    ``to`` are the points at declared positions, ``declared`` the numbers of these.
-    """
-    points, positions = found.points, found.positions
-    own, theirs = points.contexts.values(), positions.contexts.values()
-    of_move, of_place = numbers(points.context), np.full(len(points), NONE)
-    known = declared != NONE
-    of_place[to[known]] = numbers(positions.context)[declared[known]]
-    lost = int(to[~known][0]) if not known.all() else len(points)
-
-    def context(pair: tuple[int, int]) -> tuple[str | None, ...]:
-        both = (*own[pair[0]], *((None, None) if pair[1] == NONE else theirs[pair[1]]))
-        return tuple(name and found.folded(name) for name in both)
-
-    # few pairs say it of all points: each is looked at once, where it stands first
-    pairs, firsts = np.unique(of_move * (len(theirs) + 1) + of_place + 1, return_index=True)
-    first: tuple[object, ...] = ()
-    for at in sorted(firsts[: pairs.size].tolist()):
-        if at >= lost:
-            break
-        here = context((int(of_move[at]), int(of_place[at])))
-        first = first or here
-        if here != first:
-            raise found.refuse_line(
-                points.move_line[at],
-                f"another tool or frame ({_named(here)}) than at the first point ({_named(first)})",
-                "have it posted with one tool in one frame",
-            )
-    if lost < len(points):
-        name = points.targets.values()[points.target[lost]]
-        raise found.refuse_line(
-            points.move_line[lost], f"the position {name} is not declared as a constant in this file", POSTED
-        )
-
-
-def _named(context: Sequence[object]) -> str:
-    return ", ".join(str(name) for name in context if name) or "none"
-
-
 def _warnings(found: Scan, feed: FloatArray, count: int) -> list[str]:
     """What a user should know, each once."""
     warnings = list(found.warnings)
@@ -148,11 +144,14 @@ def _warnings(found: Scan, feed: FloatArray, count: int) -> list[str]:
         warnings.append(f"{without} feed moves have no dwell: they are not points, and their time is not changed")
     if np.isnan(feed).any():
         warnings.append(f"the feeds of {int(np.isnan(feed).sum())} points are not written as numbers: not known")
+    return [*warnings, *_length_warning(found)]
+
+
+def _length_warning(found: Scan) -> tuple[str, ...]:
     limit = found.profile.line_limit
     length = found.body_lines if found.moving is None else found.moving_lines
-    if limit and length > limit:
-        warnings.append(f"{length} lines in the program, the controller takes {limit}: split it")
-    return warnings
+    too_long = f"{length} lines in the program, the controller takes {limit}: split it"
+    return (too_long,) if limit and length > limit else ()
 
 
 # New times: each number keeps its length and decimals where it can.
@@ -165,6 +164,8 @@ def rewrite(profile: LanguageProfile, program: Program, time_s: FloatArray) -> b
     rounding leaves is carried to the next, so that each is within one quantum and the sum is too. ProgramError for
     times that cannot be written.
     """
+    if program.encoding != "dwell":
+        return rewrite_moves(profile, program, time_s)
     found = scan(profile, program.text, program.name)
     require_points(found)
     points = found.points
@@ -194,25 +195,6 @@ def rewrite(profile: LanguageProfile, program: Program, time_s: FloatArray) -> b
         at = end
     out.write(text[at:])
     return out.getvalue()
-
-
-def styled(steps: int, decimals: int, old: bytes) -> bytes:
-    """``steps`` of 10^-decimals as ``old`` is written: its plus, its leading zeros or bare ``.5``, its decimals.
-
-    Zeros at the end go as far as the old number had no digits there.
-    """
-    mantissa = old.lower().partition(b"e")[0].lstrip(b"+-")
-    old_whole, point, old_fraction = mantissa.partition(b".")
-    digits = str(steps).rjust(decimals + 1, "0").encode()
-    whole, fraction = (digits[:-decimals], digits[-decimals:]) if decimals else (digits, b"")
-    keep = len(old_fraction)
-    fraction = (fraction[:keep] + fraction[keep:].rstrip(b"0")).ljust(keep, b"0")
-    if not old_whole and whole == b"0" and fraction:
-        whole = b""
-    elif len(old_whole) > 1 and old_whole.startswith(b"0"):
-        whole = whole.rjust(len(old_whole), b"0")
-    sign = b"+" if old.startswith(b"+") else b""
-    return sign + whole + (b"." + fraction if fraction or point else b"")
 
 
 # Splits a program where the controller limits its lines; each part is a complete program.

@@ -38,6 +38,12 @@ def test_a_robot_program_is_known_by_its_text(polishd: Polishd, tmp_path: Path, 
         (b"/PROG  POLISH\r\n/ATTR\r\n", "a.txt", "fanuc-tp"),
         (b"def polish():\n  movel(p[0,0,0,0,0,0])\n", "a.txt", "urscript"),
         (b"", "a.ls", "fanuc-tp"),
+        (b"/JOB\n//NAME POLISH\n", "a.jbi", "inform"),
+        (b"0 BEGIN PGM POL MM\n", "a.h", "heidenhain"),
+        (b"<?xml version='1.0'?>\n<Programs>\n", "a.txt", "val3"),
+        (b"10 Mvs P1\n", "a.txt", "melfa-basic"),
+        (b".PROGRAM a()\n", "a.txt", "kawasaki-as"),
+        (b"", "a.pg", "kawasaki-as"),
         (b"G21\nG1 X1 F60\nG1 X2\n", "a.mod", "rs274"),
         (b"%_N_POL_MPF\n;$PATH=/_N_WKS_DIR\nG1 X1 F60\n", "a.txt", "siemens"),
         (b"G291\nG1 X1 F60\n", "a.mpf", "siemens-iso"),
@@ -54,9 +60,12 @@ def test_signs(head: bytes, name: str, found: str) -> None:
 @pytest.mark.parametrize(
     ("head", "name", "said"),
     [
-        (b"/JOB\n//NAME POLISH\n", "a.jbi", "a.jbi:1: the file looks like Yaskawa INFORM, which polishd does not read"),
-        (b"0 BEGIN PGM POL MM\n", "a.h", "a.h:1: the file looks like Heidenhain"),
-        (b"<?xml version='1.0'?>\n<Programs>\n", "a.pgx", "Staubli VAL3"),
+        (
+            b"<?xml version='1.0'?>\n<Database>\n",
+            "a.dtx",
+            "a.dtx:2: the file looks like data of a Staubli VAL3 application, which polishd does not read",
+        ),
+        (b"", "a.pjx", "a.pjx: the file looks like data of a Staubli"),
         (
             b"%\nO0100\nG1 X1 F60\nG4 P500\n",
             "a.nc",

@@ -19,6 +19,7 @@ from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import DIALECTS, GcodeDialect, dialect
 from polishd.plugins.rnc_robot.formats import CHUNK, path_program, read
+from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.process.optic_surface import unit_normals
 from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import spiral
@@ -203,9 +204,11 @@ def test_a_dialect_without_a_wrist_needs_an_upright_tool() -> None:
     assert b"A" not in path_program(POINTS, UP, 900.0, "fine", to="grbl").split(b"\n", 1)[1]
 
 
-def test_no_robot_language_is_made() -> None:
+def test_a_language_without_a_form_is_not_made() -> None:
+    profile = dialect("rapid")
+    assert isinstance(profile, LanguageProfile)
     with pytest.raises(ProgramError, match="no programs are made in rapid"):
-        path_program(LINE, UP[:5], 900.0, "bad", to="rapid")
+        path_program(LINE, UP[:5], 900.0, "bad", to=profile.model_copy(update={"make": None}))
     with pytest.raises(ConfigError, match="did you mean"):
         path_program(LINE, UP[:5], 900.0, "bad", to="rs275")
 

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polishd.model.errors import ComputeError
+from polishd.model.program import MoveTiming
 from polishd.model.surface import FloatArray
-from polishd.process.robot.motion import delivered_time_s, learn_overhead_s, least_time_s, most_time_s
+from polishd.process.robot.motion import asked_time_s, delivered_time_s, learn_overhead_s, least_time_s, most_time_s
 from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import raster
 from tests.unit.process.gaussian import envelope, program
@@ -97,6 +98,34 @@ def test_a_dwell_takes_the_move_that_leads_to_it_from_rest_to_rest() -> None:
     dwells = program(line(*[1.0] * 9), 0.2, "dwell")
     move = 2 * np.sqrt(1.0 / A)
     np.testing.assert_allclose(delivered_time_s(dwells, np.full(10, 0.2), envelope()), [0.2, *[0.2 + move] * 9])
+
+
+def timed(stops: bool, share: float = 0.0, resolution_s: float = 0.001) -> MoveTiming:
+    return MoveTiming(0.05, 250.0, resolution_s, share, np.full(20, stops))
+
+
+def test_a_move_that_is_programmed_to_stop_is_run_from_rest_to_rest() -> None:
+    path = program(line(*[1.0] * 20))
+    asked = np.full(20, 0.1)
+    blended = delivered_time_s(replace(path, timing=timed(stops=False)), asked, envelope())
+    np.testing.assert_allclose(blended, delivered_time_s(path, asked, envelope()))
+    stopped = delivered_time_s(replace(path, timing=timed(stops=True)), asked, envelope())
+    np.testing.assert_allclose(stopped, 0.1 + 10 / A)
+
+
+def test_a_blend_takes_its_share_and_what_is_asked_makes_up_for_it() -> None:
+    path, limits = program(line(*[1.0] * 20)), envelope(block_overhead_s=0.004)
+    plain = delivered_time_s(path, np.full(20, 0.1), limits)
+    shared = replace(path, timing=timed(stops=False, share=-0.1))
+    np.testing.assert_allclose(delivered_time_s(shared, np.full(20, 0.1), limits), 0.9 * (plain - 0.004) + 0.004)
+    wanted = np.full(20, 0.15)
+    asked = asked_time_s(shared, wanted, limits)
+    np.testing.assert_allclose(delivered_time_s(shared, asked, limits)[1:-1], 0.15)
+
+
+def test_no_move_takes_less_than_its_time_can_state() -> None:
+    path = replace(program(line(*[0.01] * 20)), timing=timed(stops=False, resolution_s=0.05))
+    np.testing.assert_allclose(least_time_s(path, envelope()), 0.05)
 
 
 def test_most_time_is_that_of_the_smallest_feed_and_never_below_the_least() -> None:

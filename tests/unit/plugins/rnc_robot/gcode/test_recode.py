@@ -7,7 +7,7 @@ import shutil
 from dataclasses import dataclass
 from functools import cache
 from itertools import permutations
-from typing import cast, get_args
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,11 +16,12 @@ from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding
 from polishd.plugins.rnc_robot import formats
 from polishd.plugins.rnc_robot.dialect import GcodeDialect, dialect
+from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import verify
 from tests.corpus.changes import quanta_s
 
 NO_RS274 = shutil.which("rs274") is None
-CHANGES: list[tuple[Encoding, Encoding]] = list(permutations(get_args(Encoding), 2))
+CHANGES: list[tuple[Encoding, Encoding]] = list(permutations(("feed", "dwell", "inverse"), 2))
 
 
 @dataclass(frozen=True)
@@ -308,10 +309,11 @@ def test_a_time_that_the_digits_cannot_hold(after: Encoding, time_s: float) -> N
         formats.rewrite(profile("rs274"), old, np.array([time_s]), after)
 
 
-def test_robot_languages_keep_theirs() -> None:
-    old = formats.read(profile("rs274"), (HEAD + "G1 X1 F60\nM2\n").encode(), "old.nc")
+def test_a_language_without_times_of_moves_keeps_its_waits() -> None:
+    waits = cast(LanguageProfile, dialect("urscript")).model_copy(update={"move_time": None})
+    old = formats.read(waits, b"def m():\n  movel(p[0,0,0,0,3,0])\n  sleep(1)\nend\n", "old.script")
     with pytest.raises(ProgramError, match="in urscript time sits in dwells"):
-        formats.rewrite(dialect("urscript"), old, np.array([1.0]), "feed")
+        formats.rewrite(waits, old, np.array([1.0]), "feed")
 
 
 # LinuxCNC says the same of them.
@@ -358,3 +360,10 @@ def test_linuxcnc_has_a_slowest_inverse_time() -> None:
     assert verify(old.text, text, profile("rs274")).identical_motion
     proof = verify(old.text, text, profile("rs274"), with_rs274=True)
     assert "new, line 4: polishd reads 6 s, LinuxCNC 2.4 s" in (proof.difference or "")
+
+
+def test_a_time_of_each_block_is_inverse_time_in_nc_text() -> None:
+    old = formats.read(profile("rs274"), b"G21 G90 G94\nG0 X0 Y0 Z0\nG1 X1 F60\nG1 X2\nM2\n", "p.rnc")
+    new = formats.rewrite(dialect("rs274"), old, np.array([2.0, 0.5]), "time")
+    found = formats.read(profile("rs274"), new, "n.rnc")
+    assert (found.encoding, found.time_s.tolist()) == ("inverse", [2.0, 0.5])

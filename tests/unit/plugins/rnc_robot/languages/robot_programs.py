@@ -7,7 +7,7 @@ from typing import NamedTuple
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 
-LANGUAGES = ("rapid", "krl", "fanuc-tp", "urscript")
+LANGUAGES = ("rapid", "krl", "fanuc-tp", "urscript", "inform", "val3", "heidenhain", "melfa-basic", "kawasaki-as")
 
 # Latin-1 bytes in a comment, as an old teach pendant writes them.
 RAPID = (
@@ -134,6 +134,129 @@ polish()
 """
 
 
+INFORM = b"""/JOB
+//NAME POLISH
+//POS
+///NPOS 4,0,0,0,0,0
+///TOOL 2
+///POSTYPE PULSE
+///PULSE
+C00000=1000,-2000,3000,0,0,0
+///USER 1
+///POSTYPE USER
+///RECTAN
+///RCONF 0,0,0,0,0,0,0,0
+C00001=100.000,0.000,20.000,180.0000,0.0000,0.0000
+C00002=101.000,-2.000,20.000,90.0000,0.0000,0.0000
+C00003=101.000,-2.000,70.000,90.0000,0.0000,0.0000
+//INST
+///DATE 2024/02/29 12:00
+///COMM SCHLEIFEN \xe4
+///ATTR SC,RW,RJ
+////FRAME USER 1
+///GROUP1 RB1
+NOP
+'TIMER T=9.00 \xe4
+MOVJ C00000 VJ=10.00
+MOVL C00001 V=100.0 PL=0
+TIMER T=0.50
+DOUT OT#(1) ON
+MOVL C00002 V=12.5 PL=0 ACC=20 DEC=20
+TIMER T=1.00
+MOVL C00003 V=300.0
+END
+"""
+
+VAL3 = b"""<?xml version="1.0" encoding="iso-8859-1" ?>
+<Programs xmlns="http://www.staubli.com/robotics/VAL3/Program/2">
+  <Program name="polish" access="public">
+    <Locals>
+      <Local name="nI" type="num" xsi:type="array" size="1" />
+    </Locals>
+    <Code><![CDATA[begin
+  // delay(9) \xe4
+  p1.trsf={100, 0, 20, 180, 0, 0}
+  pPath[2].trsf={101,-2,20,90,0,0}
+  mPol.blend=off
+  mPol.tvel=100
+  mFast.tvel=800
+  movej(jHome,tTool,mNom)
+  movel(p1,tTool,mPol) // delay(9)
+  waitEndMove()
+  delay(0.50)
+  mPol.tvel=20
+  movel(pPath[2],tTool,mPol)
+  waitEndMove()
+  delay(1)
+  movel(p1,tTool,mFast)
+  waitEndMove()
+end]]></Code>
+  </Program>
+</Programs>
+"""
+
+HEIDENHAIN = b"""0  BEGIN PGM POLISH MM
+1  BLK FORM 0.1 Z X-50 Y-50 Z-20
+2  BLK FORM 0.2 X+50 Y+50 Z+0
+3  ; CYCL DEF 9.1 9 \xe4
+4  TOOL CALL 7 Z S200
+5  FUNCTION TCPM F TCP AXIS POS PATHCTRL AXIS
+6  L X+100 Y+0 Z+50 A+0 C+0 R0 FMAX M3
+7  L Z+20 F6000
+8  CYCL DEF 9.0 VERWEILZEIT
+9  CYCL DEF 9.1 V.ZEIT 0.50
+10 L X+101 Y-2 A+90 C+90 F1200 ; FUNCTION DWELL TIME9
+11 FUNCTION DWELL TIME1
+12 L Z+70 FMAX
+13 M30
+14 END PGM POLISH MM
+"""
+
+MELFA = b"""1 'Dly 9 \xe4
+2 Tool (0,0,150,0,0,0)
+3 Ovrd 100
+4 Cnt 0
+5 Mov PHome
+6 Spd 100
+7 Mvs P1 ' Dly 9
+8 Dly 0.50
+9 M_Out(8)=1
+10 Spd 20
+11 Mvs P2
+12 Dly 1
+13 Spd 300
+14 Mvs P3
+15 Hlt
+16 End
+P1=(100.000,0.000,20.000,180.000,0.000,0.000)(7,0)
+P3=(101.000,-2.000,70.000,90.000,0.000,0.000)(7,0)
+P2=(101.000,-2.000,20.000,90.000,0.000,0.000)(7,0)
+"""
+
+AS = b""".PROGRAM polish() ; TWAIT 9
+  ; TWAIT 9 \xe4
+  ACCURACY 1 ALWAYS
+  JMOVE p0
+  SPEED 100 MM/S ALWAYS
+  LMOVE p1
+  BREAK
+  TWAIT 0.50
+  SIGNAL 3
+  SPEED 1200 MM/MIN ALWAYS
+  LMOVE p2
+  BREAK
+  TWAIT 1 ; TWAIT 9
+  SPEED 300 MM/S ALWAYS
+  LMOVE p0
+.END
+.TRANS
+p0 101.000 -2.000 70.000 0.000 90.000 0.000
+p1 100.000 0.000 20.000 0.000 180.000 0.000
+p2 101.000 -2.000 20.000 0.000 90.000 0.000
+.END
+"""
+
+
 class Said(NamedTuple):
     """A program and what it says."""
 
@@ -179,6 +302,15 @@ PROGRAMS = {
         [[0, 0, 1], [-1, 0, 0]],
         [15000, 6000],
     ),
+    "inform": Said(INFORM, [0.5, 1.0], [26, 29], [[100, 0, 20], [101, -2, 20]], [[0, 0, 1], [0, 1, 0]], [6000, 750]),
+    "val3": Said(VAL3, [0.5, 1.0], [17, 21], [[100, 0, 20], [101, -2, 20]], [[0, 0, 1], [0, 1, 0]], [6000, 1200]),
+    "heidenhain": Said(
+        HEIDENHAIN, [0.5, 1.0], [10, 12], [[100, 0, 20], [101, -2, 20]], [[0, 0, 1], [1, 0, 0]], [6000, 1200]
+    ),
+    "melfa-basic": Said(
+        MELFA, [0.5, 1.0], [8, 12], [[100, 0, 20], [101, -2, 20]], [[0, 0, 1], [0, 1, 0]], [6000, 1200]
+    ),
+    "kawasaki-as": Said(AS, [0.5, 1.0], [8, 13], [[100, 0, 20], [101, -2, 20]], [[0, 0, 1], [-1, 0, 0]], [6000, 1200]),
 }
 
 _POSE = b"[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]"
@@ -194,6 +326,11 @@ HEAD = {
     "krl": b"DEF M()\nXP1={X 1,Y 0,Z 0,A 0,B 0,C 180}\n$VEL.CP=0.1\n",
     "fanuc-tp": b"/PROG M\n/ATTR\n/MN\n",
     "urscript": b"def m():\n  p1 = p[0.001, 0, 0, 3.1415926, 0, 0]\n  set_tcp(p[0,0,0,0,0,0])\n",
+    "inform": b"//NAME M\n///TOOL 1\nC00001=1.000,0.000,0.000,180.0,0.0,0.0\n",
+    "val3": b"begin\np1.trsf={1,0,0,180,0,0}\nmPol.tvel=100\n",
+    "heidenhain": b"0 BEGIN PGM M MM\n1 TOOL CALL 1 Z\n2 M3\n",
+    "melfa-basic": b"Ovrd 100\nP1=(1,0,0,180,0,0)(7,0)\nSpd 100\n",
+    "kawasaki-as": b".PROGRAM m()\nACCURACY 1 ALWAYS\nSPEED 100 MM/S ALWAYS\n",
 }
 """Three lines before the body."""
 MOVE = {
@@ -201,18 +338,33 @@ MOVE = {
     "krl": b"LIN XP1\n",
     "fanuc-tp": b"   1:L P[1] 100mm/sec FINE ;\n",
     "urscript": b"  movel(p1, a=1.2, v=0.1)\n",
+    "inform": b"MOVL C00001 V=100.0 PL=0\n",
+    "val3": b"movel(p1,tTool,mPol)\n",
+    "heidenhain": b"3 L X+1 Y+0 Z+0 A+0 C+0 F6000\n",
+    "melfa-basic": b"Mvs P1\n",
+    "kawasaki-as": b"LMOVE p1\n",
 }
 DWELL = {
     "rapid": b"WaitTime 0.5;\n",
     "krl": b"WAIT SEC 0.5\n",
     "fanuc-tp": b"   2:  WAIT    .50(sec) ;\n",
     "urscript": b"  sleep(0.5)\n",
+    "inform": b"TIMER T=0.5\n",
+    "val3": b"waitEndMove() delay(0.5)\n",
+    "heidenhain": b"4 FUNCTION DWELL TIME0.5\n",
+    "melfa-basic": b"Dly 0.5\n",
+    "kawasaki-as": b"BREAK\nTWAIT 0.5\n",
 }
 TAIL = {
     "rapid": b"ENDPROC\nENDMODULE\n",
     "krl": b"END\n",
     "fanuc-tp": b"/POS\n" + _TP_POSE % (1, 1) + _TP_POSE % (2, 2) + b"/END\n",
     "urscript": b"end\n",
+    "inform": b"END\n",
+    "val3": b"end\n",
+    "heidenhain": b"9 END PGM M MM\n",
+    "melfa-basic": b"End\n",
+    "kawasaki-as": b".END\n.TRANS\np1 1 0 0 0 180 0\n.END\n",
 }
 
 
@@ -239,6 +391,11 @@ def many(name: str, times: list[str]) -> bytes:
                 "krl": f"LIN {{X {x},Y 0,Z 0,A 0,B 0,C 180}}\nWAIT SEC {time}\n",
                 "fanuc-tp": f"  {2 * index + 1}:L P[1] 50mm/sec FINE ;\n  {2 * index + 2}:  WAIT {time}(sec) ;\n",
                 "urscript": f"  movel(p[{x},0,0,3.14159,0,0], a=1, v=0.1)\n  sleep({time})\n",
+                "inform": f"MOVL C00001 V=50.0 PL=0\nTIMER T={time}\n",
+                "val3": f"movel(p1,tTool,mPol)\nwaitEndMove()\ndelay({time})\n",
+                "heidenhain": f"1 L X{x} Y0 Z0 F3000\n2 FUNCTION DWELL TIME{time}\n",
+                "melfa-basic": f"Mvs ({x},0,0,180,0,0)(7,0)\nDly {time}\n",
+                "kawasaki-as": f"LMOVE p1\nBREAK\nTWAIT {time}\n",
             }[name].encode()
         )
     return HEAD[name] + b"".join(body) + TAIL[name]

@@ -99,6 +99,8 @@ def test_one_pose_in_four_languages_is_one_pose(seed: int) -> None:
 def test_a_tool_whose_z_points_out_of_the_part() -> None:
     for name, said in PROGRAMS.items():
         language = profile(name)
+        if language.orientation.tool_z == "out_of_part":
+            continue
         out = language.orientation.model_copy(update={"tool_z": "out_of_part"})
         program = read(language.model_copy(update={"orientation": out}), said.text, "part.txt")
         np.testing.assert_allclose(program.axis, -np.array(said.axis), atol=1e-6)

@@ -83,9 +83,12 @@ def test_the_shipped_profiles(name: str) -> None:
 def test_the_quanta_of_the_shipped_profiles() -> None:
     rules = {name: profile(name).dwell for name in LANGUAGES}
     assert {name: rule.quantum_s for name, rule in rules.items()} == {
-        "rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.002,
+        "rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.002, "inform": 0.01, "val3": 0.001,
+        "heidenhain": 0.001, "melfa-basic": 0.01, "kawasaki-as": 0.01,
     }  # fmt: skip
-    assert {name: rule.decimals for name, rule in rules.items()} == {"rapid": 3, "krl": 3, "fanuc-tp": 2, "urscript": 3}
+    assert {name for name, rule in rules.items() if rule.decimals == 2} == {
+        "fanuc-tp", "inform", "melfa-basic", "kawasaki-as",
+    }  # fmt: skip
     assert rules["fanuc-tp"].max_s == 327.67
 
 

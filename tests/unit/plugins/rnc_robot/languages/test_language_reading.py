@@ -73,7 +73,7 @@ def test_a_hundred_points(name: str) -> None:
     times = [f"{index % 7 + 0.25:.2f}" for index in range(100)]
     program = read(profile(name), many(name, times), "part.txt")
     assert program.time_s.tolist() == [float(time) for time in times]
-    if name != "fanuc-tp":
+    if name not in {"fanuc-tp", "inform", "val3", "kawasaki-as"}:  # all their moves lead to one position
         np.testing.assert_allclose(program.end_mm[:, 0] * (1e-3 if name == "urscript" else 1), np.arange(100) * 0.1)
 
 
@@ -83,7 +83,7 @@ BODIES = [
     ("rapid", b"MoveL p1,v100,fine,tool0;WaitTime 2E0;\n", 2.0, 6000.0),
     ("rapid", b"MoveL p1,v33,fine,tool0;\nWaitTime 2;\n", 2.0, None),  # a name of the user's: no speed known
     ("rapid", b"MoveL p1,vSlow,fine,tool0;\nWaitTime 2;\n", 2.0, None),
-    ("rapid", b"MoveL p1,[50,500,5000,1000],fine,tool0;\nWaitTime 2;\n", 2.0, None),
+    ("rapid", b"MoveL p1,[50,500,5000,1000],fine,tool0;\nWaitTime 2;\n", 2.0, 3000.0),
     ("rapid", b"MoveL p1,v100,z50,tool0;\nWaitTime \\InPos , 2;\n", 2.0, 6000.0),
     ("rapid", b"MoveC p1,p1,v10,fine,tool0;\nWaitTime 2;\n", 2.0, 600.0),
     ("rapid", OFFSET, 2.0, 600.0),
@@ -132,7 +132,7 @@ def test_a_position_may_be_declared_after_its_use_where_the_language_says_so() -
 def test_a_dwell_that_no_feed_move_leads_to_is_no_point(name: str) -> None:
     text = HEAD[name] + DWELL[name] + MOVE[name] + DWELL[name] + TAIL[name]
     program = read(profile(name), text, "part.txt")
-    assert program.line.tolist() == [6]
+    assert program.line.tolist() == [(HEAD[name] + DWELL[name] + MOVE[name] + DWELL[name]).count(b"\n")]
     assert program.warnings == ("1 dwells that no feed move leads to are not points and are not changed",)
     new = rewrite(profile(name), program, np.array([0.75]))
     later = re.sub(rb"[.]50?", b".75", DWELL[name])

@@ -21,6 +21,11 @@ DWELLS = {
     "krl": rb"^WAIT SEC ([-+.0-9eE]+)",
     "fanuc-tp": rb"^\s*\d*:\s*WAIT\s+([-+.0-9eE]+)\(sec\) ;",
     "urscript": rb"^\s*sleep\(([-+.0-9eE]+)\)",
+    "inform": rb"^TIMER T=([-+.0-9eE]+)",
+    "val3": rb"^delay\(([-+.0-9eE]+)\)",
+    "heidenhain": rb"^2 FUNCTION DWELL TIME([-+.0-9eE]+)",
+    "melfa-basic": rb"^Dly ([-+.0-9eE]+)",
+    "kawasaki-as": rb"^TWAIT ([-+.0-9eE]+)",
 }
 """Where the times stand, said independently of the profiles; for programs of ``many``."""
 
@@ -34,7 +39,7 @@ def blanked(name: str, text: bytes) -> bytes:
     """The program without the dwells' numbers."""
     return re.sub(
         DWELLS[name],
-        lambda match: match[0].replace(match[1] + (b"(" if name == "fanuc-tp" else b""), b"#", 1),
+        lambda match: text[match.start() : match.start(1)] + b"#" + text[match.end(1) : match.end()],
         text,
         flags=re.MULTILINE,
     )
