@@ -171,7 +171,10 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
     async def _event(self, link: RwsServices, resource: str, value: str) -> None:
         """Take a report by its value. Any other event is a reason to read: requests and events have no common order."""
         if "polishd_seen" in resource:
-            self._take_count(value or await link.value(self._tasks.moved("polishd_seen")))
+            if value:
+                self._take_count(value, is_event=True)
+            else:
+                self._take_count(await link.value(self._tasks.moved("polishd_seen")))
         elif "ctrlexecstate" in resource:
             await self._read_execution(link)
         else:
@@ -198,22 +201,26 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
 
     async def _read_panel(self, link: RwsServices, resource: str) -> None:
         if "opmode" in resource:
-            self._report = replace(self._report, mode=await link.panel(MODE))
+            mode = await link.panel(MODE)
+            self._report = replace(self._report, mode=mode)
         elif "speedratio" in resource:
-            self._report = replace(self._report, speed=_number(await link.panel(SPEED)) / 100.0)
+            speed = _number(await link.panel(SPEED)) / 100.0
+            self._report = replace(self._report, speed=speed)
         else:
-            self._report = replace(self._report, state=await link.panel(CTRL_STATE[link.version]))
+            state = await link.panel(CTRL_STATE[link.version])
+            self._report = replace(self._report, state=state)
 
     async def _read_counts(self, link: RwsServices) -> None:
         stop = await link.value(self._tasks.moved("polishd_stop"))
         self._take_count(await link.value(self._tasks.moved("polishd_seen")))
         self._report = replace(self._report, stop=int(_number(stop)))
 
-    def _take_count(self, text: str) -> None:
+    def _take_count(self, text: str, *, is_event: bool = False) -> None:
+        """Take the program's last report. An event counts only if it goes on from the last one: requests overtake it."""
         count, count_s, token = _pos(text)
         known = self._report
-        if int(token) == known.token and (count, count_s) < (known.count, known.count_s) and count_s > 0.0:
-            return  # an event that a request has overtaken
+        if is_event and (int(token) != known.token or (count, count_s) <= (known.count, known.count_s)):
+            return
         self._report = replace(known, count=int(count), count_s=count_s, token=int(token))
 
     async def _read_watch(self, link: RwsServices) -> None:

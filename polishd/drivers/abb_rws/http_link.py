@@ -92,11 +92,13 @@ class HttpLink:
         self._tls = tls
         self._stream: ByteStream | None = None
         self._http = h11.Connection(h11.CLIENT)
+        self._is_over = False
+        """The controller has announced that it closes the connection."""
 
     async def open(self) -> None:
         """Connect."""
         self._stream = await open_stream(self.address, self._silence_s, self._tls)
-        self._http = h11.Connection(h11.CLIENT)
+        self._http, self._is_over = h11.Connection(h11.CLIENT), False
 
     async def close(self) -> None:
         """Disconnect; idempotent."""
@@ -120,11 +122,11 @@ class HttpLink:
     async def _once(
         self, method: str, path: str, headers: Mapping[str, str], body: bytes, within_s: float
     ) -> HttpAnswer:
+        if self._is_over:  # the controller ends a connection after some hundred requests
+            await self.close()
+            await self.open()
         if self._stream is None:
             raise LinkError(f"{self.address}: is not open")
-        if self._http.our_state is h11.MUST_CLOSE or self._http.their_state is h11.MUST_CLOSE:
-            await self.close()  # the controller ends a connection after some hundred requests
-            await self.open()
         sent = {"Host": f"{self.address.host}:{self.address.port}", **headers, "Content-Length": str(len(body))}
         if self.cookies:
             sent["Cookie"] = "; ".join(f"{name}={value}" for name, value in self.cookies.items())
@@ -155,7 +157,8 @@ class HttpLink:
                 if len(body) > MOST_BYTES:
                     raise ProtocolError(f"{self.address}: an answer of more than {MOST_BYTES} bytes")
             elif isinstance(event, h11.EndOfMessage):
-                if self._http.our_state is h11.DONE and self._http.their_state is h11.DONE:
+                self._is_over = headers.get("connection", "").lower() == "close"
+                if not self._is_over:
                     self._http.start_next_cycle()
                 return HttpAnswer(status, headers, bytes(body))
             else:

@@ -74,6 +74,8 @@ class AbbProgramTracker(ProgramTracker):
         self._last: RwsReport | None = None
         self._before: RwsReport | None = None
         """The last report before the command to run."""
+        self._count = 0
+        """Number of the last report."""
         self._offset_s = 0.0
         """Process time less the program's clock."""
 
@@ -84,13 +86,18 @@ class AbbProgramTracker(ProgramTracker):
 
     def update(self, report: RwsReport) -> None:
         """Process a report of the controller. ProtocolError if it is impossible."""
-        module, self._last = self.file, report
-        if module is None or self.ended or not self.started:
+        module = self.file
+        if module is None:
+            return
+        self._last = report
+        if self.ended or not self.started:
             return
         if report.token != module.token:
             self._fail("the controller runs another program, or has restarted")
             return
         self._follow(module, report)
+        if self.ended:
+            return
         if self.state != "running":
             if report.running:
                 self.go(report.count_s, "started at the controller")
@@ -109,8 +116,8 @@ class AbbProgramTracker(ProgramTracker):
     def _starts(self, report: RwsReport) -> None:
         """Detect the start: reported running, or elsewhere than at the command to run."""
         was = self._before
-        elsewhere = was is None or (report.count, report.stop) != (was.count, was.stop)
-        if report.running or elsewhere:
+        is_elsewhere = was is not None and (report.count, report.stop) != (was.count, was.stop)
+        if report.running or is_elsewhere:
             self.runs = True
         elif self._now_s() - self._ordered_s > START_S:
             self._held("it does not start")
@@ -119,6 +126,10 @@ class AbbProgramTracker(ProgramTracker):
         """Record the blocks that a new report says are executed."""
         if not 0 <= report.count <= module.last_report:
             raise ProtocolError(f"the robot reports point {report.count} of {module.last_report}")
+        if report.count < self._count:
+            self._fail("the program was started from its beginning at the controller")
+            return
+        self._count = report.count
         now_s = report.count_s + self._offset_s
         done = module.done_after[report.count]
         if done <= len(self):

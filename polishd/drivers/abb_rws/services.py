@@ -85,7 +85,7 @@ class RwsServices:
             await self.events.stop()
             self.events = None
         if self._queue.running:
-            with contextlib.suppress(LinkError, ProtocolError, DeviceRefused):
+            with contextlib.suppress(LinkError, ProtocolError, DeviceRefused, TimeoutError):
                 async with asyncio.timeout(0.3):
                     if self._group:
                         await self._ask("DELETE", self._group)

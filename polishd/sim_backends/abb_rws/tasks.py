@@ -75,9 +75,8 @@ PREDEFINED: Mapping[str, Any] = {
 
 @dataclass(slots=True)
 class Cell:
-    """Data of a module."""
+    """Data of a module, or of a routine."""
 
-    module: str
     storage: str
     value: Any
 
@@ -120,6 +119,8 @@ class RapidTask:
     data: dict[str, Cell] = field(default_factory=dict)
     traps: dict[int, str] = field(default_factory=dict)
     """Trap of each interrupt number."""
+    _homes: dict[str, str] = field(default_factory=dict)
+    """Module of each of its data."""
     _scopes: list[dict[str, Cell]] = field(default_factory=list)
     _statements: int = 0
 
@@ -134,22 +135,27 @@ class RapidTask:
         for name, line in source.calls.items():
             if name not in known:
                 raise ProgramError(f"reference to unknown entity {name}", line)
-        kept = {name: cell for name, cell in self.data.items() if cell.module != source.name.lower()}
-        before, self.data = self.data, kept
+        before = (self.data, self._homes)
+        self._drop_data(source.name)
         try:
             for declared in source.declarations:
-                self._declare(declared, source.name.lower())
+                self._declare(declared)
+                self._homes[declared.name.lower()] = source.name.lower()
         except ProgramError:
-            self.data = before
+            self.data, self._homes = before
             raise
         self.modules = {**others, source.name.lower(): source}
 
     def unload(self, name: str) -> None:
         """Drop a module."""
         self.modules.pop(name.lower(), None)
-        self.data = {key: cell for key, cell in self.data.items() if cell.module != name.lower()}
+        self._drop_data(name)
 
-    def _declare(self, declared: Declaration, module: str) -> None:
+    def _drop_data(self, module: str) -> None:
+        self._homes = {name: home for name, home in self._homes.items() if home != module.lower()}
+        self.data = {name: cell for name, cell in self.data.items() if name in self._homes}
+
+    def _declare(self, declared: Declaration) -> None:
         name = declared.name.lower()
         if name in self.data:
             raise ProgramError(f"{declared.name} is declared twice", declared.line)
@@ -159,7 +165,7 @@ class RapidTask:
                 raise ProgramError(f"persistent {declared.name} has no value in any task", declared.line)
             self.data[name] = self.shared[name]
             return
-        self.data[name] = Cell(module, declared.storage, self._initial(declared))
+        self.data[name] = Cell(declared.storage, self._initial(declared))
         if persists:
             self.shared[name] = self.data[name]
 
@@ -195,7 +201,7 @@ class RapidTask:
     def _run(self, routine: RapidRoutine, arguments: Sequence[Any]) -> Steps:
         if len(arguments) != len(routine.parameters):
             raise ProgramError(f"{routine.name} takes {len(routine.parameters)} arguments", self.line)
-        scope = {name: Cell("", "var", value) for name, value in zip(routine.parameters, arguments, strict=True)}
+        scope = {name: Cell("var", value) for name, value in zip(routine.parameters, arguments, strict=True)}
         self._scopes.append(scope)
         yield from self._body(routine.body)
         self._scopes.pop()
@@ -214,7 +220,7 @@ class RapidTask:
                 case Conditional():
                     yield from self._branch(statement)
                 case Declaration():
-                    self._scopes[-1][statement.name.lower()] = Cell("", "var", self._initial(statement))
+                    self._scopes[-1][statement.name.lower()] = Cell("var", self._initial(statement))
 
     def _instruct(self, statement: Instruction) -> Steps:
         built = self.instructions.get(statement.name)
