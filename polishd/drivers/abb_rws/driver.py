@@ -169,7 +169,7 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
                 await events.until(lambda events=events: bool(events.events), left_s)  # type: ignore[misc]
 
     async def _event(self, link: RwsServices, resource: str, value: str) -> None:
-        """Take a report by its value. Any other event is a reason to read: requests and events have no common order."""
+        """Take a report by its value. Any other event is a reason to read: events and answers have no common order."""
         if "polishd_seen" in resource:
             if value:
                 self._take_count(value, is_event=True)
@@ -216,7 +216,7 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
         self._report = replace(self._report, stop=int(_number(stop)))
 
     def _take_count(self, text: str, *, is_event: bool = False) -> None:
-        """Take the program's last report. An event counts only if it goes on from the last one: requests overtake it."""
+        """Take the program's last report. An event counts only if it goes on from that: requests overtake it."""
         count, count_s, token = _pos(text)
         known = self._report
         if is_event and (int(token) != known.token or (count, count_s) <= (known.count, known.count_s)):

@@ -94,10 +94,14 @@ class AbbProgramTracker(ProgramTracker):
             return
         if report.token != module.token:
             self._fail("the controller runs another program, or has restarted")
-            return
-        self._follow(module, report)
-        if self.ended:
-            return
+        elif report.count < self._count:
+            self._fail("the program was started from its beginning at the controller")
+        else:
+            self._follow(module, report)
+            self._judge(module, report)
+
+    def _judge(self, module: RapidModule, report: RwsReport) -> None:
+        """Set the state, and end the program if it cannot continue."""
         if self.state != "running":
             if report.running:
                 self.go(report.count_s, "started at the controller")
@@ -126,9 +130,6 @@ class AbbProgramTracker(ProgramTracker):
         """Record the blocks that a new report says are executed."""
         if not 0 <= report.count <= module.last_report:
             raise ProtocolError(f"the robot reports point {report.count} of {module.last_report}")
-        if report.count < self._count:
-            self._fail("the program was started from its beginning at the controller")
-            return
         self._count = report.count
         now_s = report.count_s + self._offset_s
         done = module.done_after[report.count]
