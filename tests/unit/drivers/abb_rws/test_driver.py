@@ -71,7 +71,8 @@ async def test_an_operators_stop_is_a_fault_with_its_name(tmp_path: Path, button
         fake.controller.press(button, time.monotonic())
         with pytest.raises(DeviceFault, match=why):
             await executed(robot, 60)
-        await until(lambda: fake.stands)
+        await robot.hold()
+        assert fake.stands
         with pytest.raises(DeviceRefused, match=why):
             await run(robot)
         fake.controller.press(button, time.monotonic())
@@ -117,9 +118,7 @@ async def test_a_robot_that_stands_and_says_it_runs_reports_no_block(tmp_path: P
     async with robot_at(tmp_path) as (robot, fake):
         await run(robot)
         await executed(robot, 2)
-        fake.controller.override.suffer(
-            FaultSection(device="robot", what="stand", at_s=0.0), time.monotonic(), acts=True
-        )
+        fake.controller.override.suffer(FaultSection(device="robot", what="stand", at_s=0.0), on=True)
         await until(lambda: fake.controller.motion.pace == 0.0)
         before = (await robot.progress()).executed
         await asyncio.sleep(0.5)
