@@ -191,11 +191,14 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
             await self._beat(link)
 
     async def _read_execution(self, link: RwsServices) -> None:
-        """Read whether it runs. What a program that stands has reported is read after that."""
+        """Read whether it runs. What a program that stands has reported, and why it may stand, is read after that."""
         orders = self._orders
         running = await link.execution()
         if not running and self._has_module:
             await self._read_counts(link)
+        if not running and self._report.running:
+            for resource in (CTRL_STATE[link.version], MODE):
+                await self._read_panel(link, resource)
         if orders == self._orders:  # else it was read before the command to run
             self._report = replace(self._report, running=running)
 

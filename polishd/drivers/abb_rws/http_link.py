@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import os
 import re
@@ -127,6 +128,11 @@ class HttpLink:
             await self.open()
         if self._stream is None:
             raise LinkError(f"{self.address}: is not open")
+        early = self._http.trailing_data[0]
+        with contextlib.suppress(LinkError):  # nothing came, as it should be; a dead link fails at the write
+            early += await self._stream.read(1 << 16, 0.0)
+        if early:  # the next answer would be taken for another request's
+            raise ProtocolError(f"{self.address}: {len(early)} bytes came without a request")
         sent = {"Host": f"{self.address.host}:{self.address.port}", **headers, "Content-Length": str(len(body))}
         if self.cookies:
             sent["Cookie"] = "; ".join(f"{name}={value}" for name, value in self.cookies.items())

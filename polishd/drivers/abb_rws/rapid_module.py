@@ -161,16 +161,16 @@ def _with_trigger(line: bytes, number: int) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Routine:
+class MovingRoutine:
     """The routine that moves: its name (empty: the lines are in none) and the line of its ``ENDPROC``."""
 
     name: str
     end: int
 
 
-def _routine(lines: Sequence[RapidLine]) -> Routine:
+def _routine(lines: Sequence[RapidLine]) -> MovingRoutine:
     """Find the routine that moves. DeviceRefused where several do."""
-    found: Routine | None = None
+    found: MovingRoutine | None = None
     opened, acts = "", False
     for seq, line in enumerate(lines):
         if (match := _PROC.match(line.text)) is not None:
@@ -178,12 +178,12 @@ def _routine(lines: Sequence[RapidLine]) -> Routine:
         elif _ENDPROC.match(line.text):
             if acts and found is not None:
                 raise DeviceRefused(f"block {seq}: a second routine moves. Post the program as one routine.")
-            found = Routine(opened, seq) if acts else found
+            found = MovingRoutine(opened, seq) if acts else found
             opened, acts = "", False
         acts |= line.acts
     if acts and (opened or found is not None):
         raise DeviceRefused("a routine of the program has no ENDPROC, or lines outside the routine move.")
-    return found or Routine("", len(lines))
+    return found or MovingRoutine("", len(lines))
 
 
 @dataclass(slots=True)
@@ -254,7 +254,7 @@ def assemble(lines: Sequence[RapidLine], stops: Iterable[int], token: int) -> Ra
     return module
 
 
-def _tail(lines: Sequence[RapidLine], routine: Routine, token: int) -> str:
+def _tail(lines: Sequence[RapidLine], routine: MovingRoutine, token: int) -> str:
     """Return the routines of the driver, with a ``main`` where the program has none."""
     connects = "".join(_CONNECT.format(n=n) for n in range(TRIGGERS))
     tail = _TAIL.format(token=token, connects=connects, triggers=TRIGGERS, most=TRIGGERS // 2)

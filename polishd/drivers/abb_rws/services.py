@@ -107,11 +107,10 @@ class RwsServices:
 
     async def panel(self, path: str) -> str:
         """Read the controller's state, mode or speed."""
-        state = await self.get(path)
-        value = next((state[key] for key in ("ctrlstate", "opmode", "speedratio") if key in state), None)
-        if value is None:
-            raise ProtocolError(f"{self._name}: {path} has no value")
-        return str(value)
+        state, key = await self.get(path), path.rpartition("/")[2].replace("-", "")
+        if key not in state:
+            raise ProtocolError(f"{self._name}: the answer to {path} has no {key}")
+        return str(state[key])
 
     async def value(self, symbol: Symbol) -> str:
         """Read a variable, as RAPID writes its value. DeviceRefused if the controller does not have it."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import parse_qs, unquote, urlsplit
 
-from polishd.model.errors import ProgramError
+from polishd.model.errors import ProgramError, ProtocolError
 from polishd.sim_backends.abb_rws.controller import AbbController, module_names
 
 Version = Literal["1.0", "2.0"]
@@ -61,12 +61,9 @@ class RwsAnswer:
     headers: tuple[tuple[str, str], ...] = ()
 
 
-class RwsProblem(Exception):
-    """A request that is refused: HTTP status, code and text."""
-
-    def __init__(self, status: int, code: int, text: str) -> None:
-        super().__init__(text)
-        self.status, self.code, self.text = status, code, text
+def problem(status: int, code: int, text: str) -> ProtocolError:
+    """Return the error of a request that is refused: its text, HTTP status and code."""
+    return ProtocolError(text, status, code)
 
 
 @dataclass(eq=False, slots=True)
@@ -119,8 +116,8 @@ class RwsService:
         """Answer a request."""
         try:
             states = await self._act(request)
-        except RwsProblem as problem:
-            return self._refusal(request, problem)
+        except ProtocolError as refusal:
+            return self._refusal(request, *refusal.args)
         if isinstance(states, RwsAnswer):
             return states
         return RwsAnswer(204) if states is None else self._shown(request, states)
@@ -135,15 +132,15 @@ class RwsService:
             return RwsAnswer(200, json.dumps(found).encode(), kind)
         return RwsAnswer(200, _html("Response", "".join(map(_item, states))))
 
-    def _refusal(self, request: RwsRequest, problem: RwsProblem) -> RwsAnswer:
-        status = {"code": problem.code, "msg": problem.text}
+    def _refusal(self, request: RwsRequest, text: str, http_status: int, code: int) -> RwsAnswer:
+        status = {"code": code, "msg": text}
         if request.wants_json:
             found: Any = {"_links": {}, "_embedded": {"status": status}}
             if self.version == "2.0":
                 found = {"_links": {}, "status": status}
             kind = "application/json" if self.version == "1.0" else "application/hal+json;v=2.0"
-            return RwsAnswer(problem.status, json.dumps(found).encode(), kind)
-        return RwsAnswer(problem.status, _html("Error", _item({"_type": "status", **status}), "status"))
+            return RwsAnswer(http_status, json.dumps(found).encode(), kind)
+        return RwsAnswer(http_status, _html("Error", _item({"_type": "status", **status}), "status"))
 
     async def _act(self, request: RwsRequest) -> Sequence[State] | RwsAnswer | None:
         parts = [unquote(part) for part in request.path.strip("/").split("/")]
@@ -158,7 +155,7 @@ class RwsService:
                 return [{"_type": "user-logout", "_title": "logout"}]
             case ["rw", *rest]:
                 return await self._robotware(request, rest)
-        raise RwsProblem(MISSING, BAD_STATE, f"no resource {request.path}")
+        raise problem(MISSING, BAD_STATE, f"no resource {request.path}")
 
     async def _robotware(self, request: RwsRequest, parts: list[str]) -> Sequence[State] | RwsAnswer | None:
         action = request.query.get("action", "")
@@ -178,7 +175,7 @@ class RwsService:
                 return await self._rapid(request, rest, action)
             case ["motionsystem", "mechunits", "ROB_1", "robtarget"]:
                 return [self._robtarget()]
-        raise RwsProblem(MISSING, BAD_STATE, f"no resource {request.path}")
+        raise problem(MISSING, BAD_STATE, f"no resource {request.path}")
 
     @staticmethod
     def _split_action(parts: list[str]) -> tuple[list[str], str]:
@@ -204,7 +201,7 @@ class RwsService:
         controller = self.controller
         names = {"ctrlstate": "ctrlstate", "ctrl-state": "ctrlstate", "opmode": "opmode", "speedratio": "speedratio"}
         if resource not in names or (resource == "ctrlstate" and self.version == "2.0"):
-            raise RwsProblem(MISSING, BAD_STATE, f"no resource {request.path}")
+            raise problem(MISSING, BAD_STATE, f"no resource {request.path}")
         if request.method == "GET":
             name = names[resource]
             return [{"_type": f"pnl-{name}", "_title": name, name: self.panel_value(name)}]
@@ -215,7 +212,7 @@ class RwsService:
             except ValueError:
                 ratio = -1.0
             if not 0.0 <= ratio <= 100.0:
-                raise RwsProblem(BAD, BAD_VALUE, "the speed ratio is 0 to 100")
+                raise problem(BAD, BAD_VALUE, "the speed ratio is 0 to 100")
             controller.ratio = ratio
             return None
         if action == "setctrlstate":
@@ -225,14 +222,12 @@ class RwsService:
                 or controller.state == "emergencystop"
                 or wanted not in {"motoron", "motoroff"}
             ):
-                raise RwsProblem(
-                    FORBIDDEN, BAD_STATE, f"not possible in state {controller.state}, mode {controller.mode}"
-                )
+                raise problem(FORBIDDEN, BAD_STATE, f"not possible in state {controller.state}, mode {controller.mode}")
             if wanted == "motoroff":
                 controller.stop("motors off")
             controller.state = wanted
             return None
-        raise RwsProblem(BAD, BAD_STATE, f"no action {action!r}")
+        raise problem(BAD, BAD_STATE, f"no action {action!r}")
 
     def panel_value(self, name: str) -> str:
         """Return state, mode or speed."""
@@ -249,25 +244,25 @@ class RwsService:
         if action == "request":
             self._require_free(request)
             if self.controller.mode != "AUTO":
-                raise RwsProblem(FORBIDDEN, NO_MASTERSHIP, "no remote mastership in manual mode")
+                raise problem(FORBIDDEN, NO_MASTERSHIP, "no remote mastership in manual mode")
             self.master = request.session
         elif action == "release":
             if self.master is not request.session:
-                raise RwsProblem(FORBIDDEN, NO_MASTERSHIP, "the client does not hold the mastership")
+                raise problem(FORBIDDEN, NO_MASTERSHIP, "the client does not hold the mastership")
             self.master = None
         else:
-            raise RwsProblem(BAD, BAD_STATE, f"no action {action!r}")
+            raise problem(BAD, BAD_STATE, f"no action {action!r}")
 
     def _require_free(self, request: RwsRequest) -> None:
         if self.master not in {None, request.session}:
-            raise RwsProblem(FORBIDDEN, NO_MASTERSHIP, "another client holds the mastership")
+            raise problem(FORBIDDEN, NO_MASTERSHIP, "another client holds the mastership")
 
     def _require_master(self, request: RwsRequest, *, implicit: bool) -> None:
         """In 1.0 a write takes a free mastership for itself; in 2.0 only where the request says so."""
         self._require_free(request)
         allowed = implicit and (self.version == "1.0" or request.query.get("mastership") == "implicit")
         if self.master is None and not allowed:
-            raise RwsProblem(FORBIDDEN, NO_MASTERSHIP, "the operation needs mastership")
+            raise problem(FORBIDDEN, NO_MASTERSHIP, "the operation needs mastership")
 
     # RAPID
 
@@ -285,7 +280,7 @@ class RwsService:
                 return self._symbol(request, task, path[-1])
             case ["symbol", "RAPID", task, *path, "data"] if self.version == "2.0" and path:
                 return self._symbol(request, task, path[-1])
-        raise RwsProblem(MISSING, NO_SYMBOL, f"no resource {request.path}")
+        raise problem(MISSING, NO_SYMBOL, f"no resource {request.path}")
 
     def _execution(self, request: RwsRequest, action: str) -> Sequence[State] | None:
         controller = self.controller
@@ -304,21 +299,21 @@ class RwsService:
                 "continue",
                 "clear",
             }:
-                raise RwsProblem(BAD, BAD_VALUE, "execmode and regain are needed; only continue is simulated")
+                raise problem(BAD, BAD_VALUE, "execmode and regain are needed; only continue is simulated")
             if why := controller.start():
-                raise RwsProblem(FORBIDDEN, BAD_STATE, why)
+                raise problem(FORBIDDEN, BAD_STATE, why)
         elif action == "stop":
             if not controller.running:
-                raise RwsProblem(FORBIDDEN, BAD_STATE, "no program runs")
+                raise problem(FORBIDDEN, BAD_STATE, "no program runs")
             controller.stop()
         elif action == "resetpp":
             self._require_master(request, implicit=True)
             try:
                 controller.reset_pointer()
             except ProgramError as error:
-                raise RwsProblem(FORBIDDEN, BAD_STATE, str(error.args[0])) from None
+                raise problem(FORBIDDEN, BAD_STATE, str(error.args[0])) from None
         else:
-            raise RwsProblem(BAD, BAD_STATE, f"no action {action!r}")
+            raise problem(BAD, BAD_STATE, f"no action {action!r}")
         return None
 
     def _task(self, name: str) -> State:
@@ -356,13 +351,13 @@ class RwsService:
         elif action == "unloadmod" and request.value("module").lower() in owner.modules:
             owner.unload(request.value("module"))
         else:
-            raise RwsProblem(BAD, BAD_MODULE, f"{action} of {request.value('module')!r} is not possible")
+            raise problem(BAD, BAD_MODULE, f"{action} of {request.value('module')!r} is not possible")
         return None
 
     async def _load(self, request: RwsRequest, task: str) -> None:
         path = self._path(request.value("modulepath"))
         if path is None or not path.is_file():
-            raise RwsProblem(BAD, BAD_FILE, f"no file {request.value('modulepath')}")
+            raise problem(BAD, BAD_FILE, f"no file {request.value('modulepath')}")
         text = path.read_bytes()
         try:
             for _ in self.controller.loading(task, text, replace=request.value("replace") == "true"):
@@ -370,17 +365,17 @@ class RwsService:
         except ProgramError as error:
             place = f"{path.name} line {error.args[1]}: " if error.args[1] else ""
             self.controller.note(40160, f"{place}{error.args[0]}")
-            raise RwsProblem(LOAD_FAILED, BAD_MODULE, f"{place}{error.args[0]}") from None
+            raise problem(LOAD_FAILED, BAD_MODULE, f"{place}{error.args[0]}") from None
 
     def _symbol(self, request: RwsRequest, task: str, name: str) -> Sequence[State] | None:
         value = self.controller.read(task, name)
         if value is None:
-            raise RwsProblem(BAD, NO_SYMBOL, f"symbol {task}/{name} not found")
+            raise problem(BAD, NO_SYMBOL, f"symbol {task}/{name} not found")
         if request.method == "GET":
             return [{"_type": "rap-data", "_title": f"RAPID/{task}/{name}", "value": value}]
         self._require_master(request, implicit=True)
         if why := self.controller.write(task, name, request.value("value")):
-            raise RwsProblem(BAD, BAD_VALUE, why)
+            raise problem(BAD, BAD_VALUE, why)
         return None
 
     def _robtarget(self) -> State:
@@ -423,12 +418,12 @@ class RwsService:
             return [{"_type": "fs-file", "_title": path.name} for path in sorted(self.folder.iterdir())]
         path = self._path(name)
         if path is None:
-            raise RwsProblem(BAD, BAD_FILE, f"{name!r} is no file of $HOME")
+            raise problem(BAD, BAD_FILE, f"{name!r} is no file of $HOME")
         if request.method == "PUT":
             path.write_bytes(request.body)
             return RwsAnswer(201)
         if not path.is_file():
-            raise RwsProblem(MISSING, BAD_FILE, f"no file {name}")
+            raise problem(MISSING, BAD_FILE, f"no file {name}")
         if request.method == "DELETE":
             path.unlink()
             return None
@@ -439,14 +434,14 @@ class RwsService:
     def _subscription(self, request: RwsRequest, parts: list[str]) -> RwsAnswer | None:
         if request.method == "DELETE" and parts and parts[0].isdigit():
             if self.subscriptions.pop(int(parts[0]), None) is None:
-                raise RwsProblem(MISSING, BAD_VALUE, "no such subscription")
+                raise problem(MISSING, BAD_VALUE, "no such subscription")
             return None
         if request.method != "POST":
-            raise RwsProblem(BAD, BAD_STATE, "POST a subscription")
+            raise problem(BAD, BAD_STATE, "POST a subscription")
         resources = tuple(request.value(number) for number in request.values.get("resources", []))
         for resource in resources:
             if not resource or self.resource_value(resource) is None:
-                raise RwsProblem(BAD, NO_SYMBOL, f"{resource!r} cannot be subscribed")
+                raise problem(BAD, NO_SYMBOL, f"{resource!r} cannot be subscribed")
         number = next(self._numbers)
         self.subscriptions[number] = RwsSubscription(number, resources, request.session)
         scheme = "ws" if self.version == "1.0" else "wss"

@@ -74,7 +74,7 @@ PREDEFINED: Mapping[str, Any] = {
 
 
 @dataclass(slots=True)
-class Cell:
+class RapidData:
     """Data of a module, or of a routine."""
 
     storage: str
@@ -107,7 +107,7 @@ class RapidTask:
     name: str
     instructions: Mapping[str, BuiltIn]
     functions: Mapping[str, Function]
-    shared: dict[str, Cell]
+    shared: dict[str, RapidData]
     """Persistent data of all tasks, by name."""
     time_s: float = 0.0
     """The controller's time at which it is."""
@@ -116,12 +116,12 @@ class RapidTask:
     module: str = ""
     """... its module."""
     modules: dict[str, RapidSource] = field(default_factory=dict)
-    data: dict[str, Cell] = field(default_factory=dict)
+    data: dict[str, RapidData] = field(default_factory=dict)
     traps: dict[int, str] = field(default_factory=dict)
     """Trap of each interrupt number."""
     _homes: dict[str, str] = field(default_factory=dict)
     """Module of each of its data."""
-    _scopes: list[dict[str, Cell]] = field(default_factory=list)
+    _scopes: list[dict[str, RapidData]] = field(default_factory=list)
     _statements: int = 0
 
     def load(self, source: RapidSource) -> None:
@@ -165,7 +165,7 @@ class RapidTask:
                 raise ProgramError(f"persistent {declared.name} has no value in any task", declared.line)
             self.data[name] = self.shared[name]
             return
-        self.data[name] = Cell(declared.storage, self._initial(declared))
+        self.data[name] = RapidData(declared.storage, self._initial(declared))
         if persists:
             self.shared[name] = self.data[name]
 
@@ -201,7 +201,7 @@ class RapidTask:
     def _run(self, routine: RapidRoutine, arguments: Sequence[Any]) -> Steps:
         if len(arguments) != len(routine.parameters):
             raise ProgramError(f"{routine.name} takes {len(routine.parameters)} arguments", self.line)
-        scope = {name: Cell("var", value) for name, value in zip(routine.parameters, arguments, strict=True)}
+        scope = {name: RapidData("var", value) for name, value in zip(routine.parameters, arguments, strict=True)}
         self._scopes.append(scope)
         yield from self._body(routine.body)
         self._scopes.pop()
@@ -220,7 +220,7 @@ class RapidTask:
                 case Conditional():
                     yield from self._branch(statement)
                 case Declaration():
-                    self._scopes[-1][statement.name.lower()] = Cell("var", self._initial(statement))
+                    self._scopes[-1][statement.name.lower()] = RapidData("var", self._initial(statement))
 
     def _instruct(self, statement: Instruction) -> Steps:
         built = self.instructions.get(statement.name)
@@ -261,7 +261,7 @@ class RapidTask:
 
     # expressions
 
-    def cell_of(self, reference: Any) -> Cell:
+    def cell_of(self, reference: Any) -> RapidData:
         """Return the data that an argument names."""
         if not isinstance(reference, DataReference):
             raise ProgramError("the argument is no data", self.line)
