@@ -435,9 +435,10 @@ class Artefact(ConfigSection):
 class SimRobotSection(ConfigSection):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
+    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus", "abb_rws"] = "link"
     """``linuxcnc``: a real LinuxCNC, in real time, in a separate network (docs/protocols/linuxcnc.md). ``opcua``,
-    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md)."""
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md).
+    ``abb_rws``: an ABB controller with Robot Web Services."""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
     28500 = 111 * 256 + 84 is the address 127.111.84.1. [1]"""
@@ -449,6 +450,8 @@ class SimRobotSection(ConfigSection):
     """Of linuxcnc, what A and C turn: the tool, or the part on a tilting rotary table (its ``xyzac-trt-kins``). [1]"""
     cycle_hz: Literal[125, 500] = 500
     """Of universal_robots: how often it controls; 125 is a CB3. [Hz]"""
+    rws: Literal["1.0", "2.0"] = "1.0"
+    """Of abb_rws: version of Robot Web Services."""
     report_ms: Positive = 20.0
     """Of such a PLC: interval of its reports, wall time."""
     read_ahead_lines: Annotated[int, Field(ge=0, le=1_000_000)] = 0

@@ -188,6 +188,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "linuxcnc": ("", "linuxcnc"),
     "universal_robots": ("", "universal_robots"),
     "plc_robot": ("", "opcua"),
+    "abb_rws": ("", "abb_rws"),
     "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),
     "voice_coil_serial": ("serial", ""),
     "cia402_actuator": CAN,
@@ -278,6 +279,8 @@ def _add_robot(values: CellValues, device: str, kind: str) -> None:
         return
     none_s = NO_WATCHDOG_S if kind == "linuxcnc" else None
     values.put("robot", "watchdog_s", options.get("watchdog_s", none_s), f"{device}.watchdog_s")
+    if kind == "abb_rws":
+        values.put("robot", "rws", options.get("version"), f"{device}.version")
     if kind == "universal_robots":
         is_fast = values.number(device, "rate_hz", 125.0) > 125.0
         values.put("robot", "dashboard_port", options.get("dashboard_port", 29999), f"{device}.dashboard_port")

@@ -15,7 +15,7 @@ import time
 import tomllib
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,8 @@ import pytest
 from polishd.api import DeviceRefused, ExecutedBlock, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
+from polishd.drivers.abb_rws.driver import AbbRobot
+from polishd.drivers.abb_rws.services import Account
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.file_delivery import Folder
@@ -81,6 +83,7 @@ CELLS = {
     + f'[actuator]\nkind = "profile"\nbaud = 57600\nprofile = "{file_of("line_drive.toml")}"\n'
     + f'[spindle]\nkind = "profile_tcp"\nprofile = "{file_of("delta_ms300")}"\n',
     "universal_robots": BASE.replace("port = 0\n", f"port = 0\n{UNIVERSAL}"),
+    "abb_rws": BASE.replace("port = 0\n", 'port = 0\nkind = "abb_rws"\n'),
     "handover_modbus": BASE.replace("port = 0\n", 'port = 0\nkind = "modbus"\n'),
 }
 AT_REST = {
@@ -91,7 +94,7 @@ AT_REST = {
 """Device: the event that ends its rest, and those that begin it."""
 
 
-UNCOUNTED = {"profiles", "universal_robots"}
+UNCOUNTED = {"profiles", "universal_robots", "abb_rws"}
 """Their devices do not tell one power-up from another."""
 
 
@@ -106,7 +109,7 @@ class Place:
         return f"{self.device}-{self.cell}"
 
 
-ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "handover_modbus")))
+ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "abb_rws", "handover_modbus")))
 ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
 LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
@@ -201,6 +204,9 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
             addresses = Addresses.of(address.host, address.port, ports["dashboard_port"], ports["primary_port"])
             # its controller's clock is the simulated one: a busy machine is silent for seconds of that
             return UniversalRobot(addresses, Settings(UrRegisters(), 10 * PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+        case "abb_rws":  # the simulated clock, and with it the watchdog, runs 20 times as fast
+            account = Account(address, "1.0", "Default User", "robotics")
+            return AbbRobot(account, replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False))
         case "handover_modbus":
             profile = load_controller_profile("plc-modbus", Path())
             make_link = partial(Modbus, address, profile.variables, profile.silence_s)
@@ -377,6 +383,9 @@ SLOW = [line.replace(b"F300", b"F60") for line in LINES]
 def slow(request: pytest.FixtureRequest) -> list[bytes]:
     """A program for the robot of this test, of blocks that last some tens of ms of the wall."""
     place: Place = request.node.callspec.params["robot"]
+    if place.cell == "abb_rws":
+        target = b"[[%.1f,0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+        return [b"MoveL %b,v10\\T:=0.4,z1,tool0;" % (target % (0.4 * k)) for k in range(60)]
     if place.cell != "universal_robots":
         return SLOW
     return [b"movel(p[%.4f, 0, 0, 0, 3.14159, 0], a=5, v=0.001)" % (4e-4 * k) for k in range(60)]

@@ -362,7 +362,7 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
     """Add the robot; raise ConfigError if no simulated controller reads the cell's program."""
     kind, address = str(draft.config.devices[device].type), f"tcp://{LOOPBACK}:{free_port()}"
     _require_language(draft, device)
-    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "plc_robot": _plc_robot}
+    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "plc_robot": _plc_robot, "abb_rws": _abb_rws}
     if simulated := is_simulated(draft, device, address=address):
         lay_address(draft, device, address)
     if kind in add:
@@ -413,6 +413,18 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
     }
     if options["first_register"] != FIRST_REGISTER:
         draft.instead(f"{device}.first_register", FIRST_REGISTER, "the simulated arm is watched at that register")
+
+
+ABB_NAMES = {"task": "T_ROB1", "watch_task": "T_POLISHD", "home": "$HOME"}
+"""Names in the simulated ABB controller."""
+
+
+def _abb_rws(draft: RehearsalDraft, device: str) -> None:
+    options = draft.options(device)
+    draft.laid |= {f"{device}.{key}": None for key in ("user", "password", "certificate")}
+    for key, name in ABB_NAMES.items():
+        if options[key] != name:
+            draft.instead(f"{device}.{key}", name, "is the name in the simulated controller")
 
 
 def _plc_robot(draft: RehearsalDraft, device: str) -> None:

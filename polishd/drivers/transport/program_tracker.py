@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from array import array
 from bisect import bisect_left
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -76,6 +76,13 @@ def _ends(block: bytes, seq: int) -> bool:
     return bool(_END.search(code)) or (code == b"%" and seq > 0)
 
 
+class LoadedProgram(Protocol):
+    """A program that the controller has loaded, with its stops."""
+
+    stops: tuple[int, ...]
+    """Blocks before which it stops."""
+
+
 BLOCK_S = 0.01
 """Approximate time of a block beyond its dwell."""
 START_S = 1.0
@@ -100,7 +107,7 @@ class ProgramTracker:
         self.stopped = ""
         """Why the robot stands although it was commanded to run; empty if it does not, or for an unknown reason."""
         self.started = False
-        self.file: ProgramFile | None = None
+        self.file: LoadedProgram | None = None
         """The file that the controller has loaded."""
         self.held_at: int | None = None
         """The stop of the file at which the robot stands."""

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import os
 import socket
+import ssl
 import termios
 import time
 from functools import partial
@@ -26,14 +27,16 @@ WRITE_S = 1.0
 """Time after which a peer or a line that accepts no bytes is dead."""
 
 
-async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpStream | SerialStream:
-    """Connect; LinkError without an answer in that time.
+async def open_stream(
+    address: Tcp | SerialLine, within_s: float = 1.0, tls: ssl.SSLContext | None = None
+) -> TcpStream | SerialStream:
+    """Connect; LinkError without an answer in that time. ``tls``: encrypt a TCP connection.
 
     DeviceClaimed if another program on this computer has the address: then nothing is connected.
     """
     claimed = await claim_address(address)
     try:
-        opened = await connect_unclaimed(address, within_s)
+        opened = await connect_unclaimed(address, within_s, tls)
     except BaseException:
         claimed.release()
         raise
@@ -41,14 +44,17 @@ async def open_stream(address: Tcp | SerialLine, within_s: float = 1.0) -> TcpSt
     return opened
 
 
-async def connect_unclaimed(address: Tcp | SerialLine, within_s: float) -> TcpStream | SerialStream:
+async def connect_unclaimed(
+    address: Tcp | SerialLine, within_s: float, tls: ssl.SSLContext | None = None
+) -> TcpStream | SerialStream:
     """Connect to an address that the caller has claimed."""
     if isinstance(address, SerialLine):
         return await _open_serial(address, within_s)
     loop = asyncio.get_running_loop()
     try:
         async with asyncio.timeout(within_s):
-            _, stream = await loop.create_connection(lambda: TcpStream(str(address)), address.host, address.port)
+            make = partial(TcpStream, str(address))
+            _, stream = await loop.create_connection(make, address.host, address.port, ssl=tls)
     except TimeoutError:
         raise LinkError(f"{address}: no connection within {within_s:g} s") from None
     except OSError as error:
@@ -58,6 +64,9 @@ async def connect_unclaimed(address: Tcp | SerialLine, within_s: float) -> TcpSt
 
 def _why_not_connected(error: OSError) -> str:
     """Return the error in the address, and what to do."""
+    if isinstance(error, ssl.SSLError):
+        why = getattr(error, "verify_message", "") or error.reason
+        return f"no encrypted connection: {why}. Check the port, and the certificate in the cell's file."
     if isinstance(error, socket.gaierror):
         return "no host has that name. Correct it, or check the name server."
     match error.errno:

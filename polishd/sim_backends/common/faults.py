@@ -151,6 +151,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "rtde": Protocol(_sized(">H", 0, 0)),
     "dashboard": Protocol(_ended(b"\n")),
     "primary": Protocol(),
+    "http": Protocol(),
 }
 """By name, as in errors and in the log."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from tests.system import plc_robot_rig, universal_robots_rig
+from tests.system import abb_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
@@ -183,6 +183,12 @@ def _universal(folder: Path) -> DemoFiles:
     return files
 
 
+def _abb(folder: Path) -> DemoFiles:
+    files = abb_rig.write_files(folder, **ONE_PASS)
+    files.cell.write_text(files.cell.read_text().replace("silence_s = 3.0", f"silence_s = {SILENCE_S}"))
+    return files
+
+
 FORCE = {"sticks": {"what": "stick"}}
 DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
 CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
@@ -194,6 +200,7 @@ LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
     "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
     "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
+    "Robot Web Services": Link("robot", _abb, ALL, driver="abb_rws", simulator="abb_rws"),
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),

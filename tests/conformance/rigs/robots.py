@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from polishd.api import Robot
+from polishd.drivers.abb_rws.driver import AbbRobot
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
@@ -18,6 +19,7 @@ from polishd.testing.device_rig import Rig, TestScope
 from polishd.testing.suites.robot import RobotRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes import handover
+from tests.fakes.abb_rws import FakeAbb, rapid_move
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.universal_robot import FakeController, urscript
@@ -25,6 +27,7 @@ from tests.fakes.wires import TcpWire, dribbled
 from tests.kinds import kind
 
 URSCRIPT = TestScope(block=urscript)
+RAPID = TestScope(block=rapid_move)
 PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 """A busy machine is silent for longer than most wires would be."""
 
@@ -132,9 +135,46 @@ async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
         yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 
+@asynccontextmanager
+async def abb_rws(folder: Path) -> AsyncIterator[RobotRig]:
+    """An ABB controller over Robot Web Services 1.0, with a subscription."""
+    async with _abb(FakeAbb(folder)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def abb_rws_polled(folder: Path) -> AsyncIterator[RobotRig]:
+    """The same without one, byte by byte."""
+    fake = FakeAbb(folder)
+    fake.filter = dribbled
+    async with _abb(fake, subscribes=False) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def abb_rws_2(folder: Path) -> AsyncIterator[RobotRig]:
+    """An ABB controller over Robot Web Services 2.0."""
+    async with _abb(FakeAbb(folder, "2.0")) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _abb(fake: FakeAbb, *, subscribes: bool = True) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    times = RobotTimes(silence_s=1.0, lifts=False)
+    device = AbbRobot(fake.account, times, subscribes=subscribes)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=RAPID)
+    finally:
+        await device.close()
+        await fake.close()
+
+
 ROBOTS = [
     *kind(robot_tcp, robot_dribbled),
     *kind(linuxcnc, linuxcnc_dribbled),
     *kind(universal_robots, universal_robots_dribbled),
+    *kind(abb_rws, abb_rws_polled, abb_rws_2),
     *kind(handover_direct, handover_opcua, handover_ads),
 ]

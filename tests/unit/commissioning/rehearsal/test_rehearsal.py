@@ -189,6 +189,23 @@ def test_an_arm_of_universal_robots(tmp_path: Path) -> None:
     assert sum("first_register" in note for note in draft.notes) == 1
 
 
+def test_the_shipped_abb_cell_is_rehearsed_on_its_arm(tmp_path: Path) -> None:
+    text = (EXAMPLES / "abb_cell.toml").read_text().replace("program.mod", "program.rnc")
+    draft = made(tmp_path, text.replace('"drive.eds"', f'"{EXAMPLES / "drive.eds"}"'))
+    sim = sim_of(draft, tmp_path)
+    assert (sim.robot.kind, sim.robot.rws, sim.robot.watchdog_s) == ("abb_rws", "1.0", 10.0)
+    assert isinstance(sim.robot_model(), SerialRobot)
+
+
+def test_an_abb_controller(tmp_path: Path) -> None:
+    text = robot('type = "abb_rws"\naddress = "tcp://10.0.0.3:443"\nversion = "2.0"\ntask = "T_ROB_L"')
+    draft = made(tmp_path, text.replace('"rs274"', '"rapid"'))
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.robot.rws, sim.plant.speed) == ("abb_rws", "2.0", 4.0)
+    assert other["robot.task"] == "T_ROB1"
+    assert "127.0.0.1" in other["robot.address"]
+
+
 @pytest.mark.full
 def test_linuxcnc_is_a_real_one_in_real_time(tmp_path: Path) -> None:
     draft = made(tmp_path, robot('type = "linuxcnc"\naddress = "tcp://10.0.0.2:5007"\nprogram_dir = "/mnt/cnc"'))

@@ -1,0 +1,1 @@
+"""A simulated ABB controller: Robot Web Services, and tasks that run RAPID."""

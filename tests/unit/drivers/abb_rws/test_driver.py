@@ -1,0 +1,207 @@
+"""The driver of ABB robots at a controller in this process: what operators, other clients and a lost link do."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, ProtocolError, RobotTimes
+from polishd.config.simulator import FaultSection
+from polishd.drivers.abb_rws.driver import AbbRobot
+from polishd.drivers.abb_rws.services import RwsServices
+from tests.fakes.abb_rws import FakeAbb, rapid_move
+from tests.patience import SOON_S
+from tests.programs import plan_of
+
+TIMES = RobotTimes(silence_s=2.0, watchdog_s=8.0, lifts=False)
+SPEED = 0.5
+"""Of the controller's clock: a program of 60 blocks lasts 4 s."""
+
+
+@asynccontextmanager
+async def robot_at(
+    folder: Path, times: RobotTimes = TIMES, *, has_watch: bool = True
+) -> AsyncIterator[tuple[AbbRobot, FakeAbb]]:
+    fake = await FakeAbb(folder, speed=SPEED, has_watch=has_watch).start()
+    robot = AbbRobot(fake.account, times)
+    await robot.open()
+    try:
+        yield robot, fake
+    finally:
+        await robot.close()
+        await fake.close()
+
+
+async def run(robot: AbbRobot, blocks: int = 60) -> None:
+    plan = plan_of([rapid_move(at) for at in range(blocks)])
+    await robot.prepare(plan)
+    await robot.send(plan.segments)
+    await robot.resume()
+
+
+async def executed(robot: AbbRobot, count: int) -> list[ExecutedBlock]:
+    found = []
+    async with asyncio.timeout(SOON_S):
+        async for one in robot.executed():
+            found.append(one)
+            if len(found) == count:
+                break
+    return found
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(SOON_S):
+        while not condition():  # noqa: ASYNC110 -- the machine sends no event
+            await asyncio.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("button", "why"), [("emergency stop", "emergency stop is pressed"), ("manual", "manual mode")]
+)
+async def test_an_operators_stop_is_a_fault_with_its_name(tmp_path: Path, button: str, why: str) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot)
+        await executed(robot, 3)
+        fake.controller.press(button, time.monotonic())
+        with pytest.raises(DeviceFault, match=why):
+            await executed(robot, 60)
+        await robot.hold()
+        assert fake.stands
+        with pytest.raises(DeviceRefused, match=why):
+            await run(robot)
+        fake.controller.press(button, time.monotonic())
+        assert fake.stands, "switched back, it stands until it is commanded"
+        await robot._connection.until(lambda: not robot._connection.last.obstacle())
+        await run(robot, 5)
+        assert len(await executed(robot, 5)) == 5
+
+
+async def test_a_stop_by_another_client_is_seen(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot)
+        await executed(robot, 3)
+        fake.controller.stop()
+        with pytest.raises(DeviceFault, match="was stopped at the controller"):
+            await executed(robot, 60)
+
+
+async def test_the_speed_ratio_is_read_and_refused_below_100(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot)
+        await executed(robot, 2)
+        fake.controller.ratio = 50.0
+        await robot._connection.until(lambda: robot._connection.last.speed < 1.0, SOON_S)
+        assert (await robot.progress()).override == 0.5
+        assert len(await executed(robot, 60)) == 60, "the robot moves on"
+        await robot._connection.until(lambda: not robot._connection.last.running, SOON_S)
+        with pytest.raises(DeviceRefused, match="speed ratio is 50 %"):
+            await run(robot)
+        fake.controller.ratio = 100.0
+
+
+async def test_a_speed_ratio_of_zero_is_a_standstill(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot)
+        await executed(robot, 2)
+        fake.controller.ratio = 0.0
+        with pytest.raises(DeviceFault, match="speed ratio is 0 %"):
+            await executed(robot, 60)
+
+
+async def test_a_robot_that_stands_and_says_it_runs_reports_no_block(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot)
+        await executed(robot, 2)
+        fake.controller.override.suffer(FaultSection(device="robot", what="stand", at_s=0.0), on=True)
+        await until(lambda: fake.controller.motion.pace == 0.0)
+        before = (await robot.progress()).executed
+        await asyncio.sleep(0.5)
+        assert (await robot.progress()).executed <= before + 1
+        assert (await robot.progress()).state == "running"
+
+
+async def test_without_heartbeats_the_background_task_stops_the_motion(tmp_path: Path) -> None:
+    times = replace(TIMES, silence_s=0.5, watchdog_s=1.0)
+    async with robot_at(tmp_path, times) as (robot, fake):
+        await run(robot, 200)
+        await executed(robot, 3)
+        await robot.close()
+        await until(lambda: fake.controller.move_stopped)
+        assert "watchdog" in fake.events
+        await until(lambda: fake.controller.motion.state != "running")
+        await robot.open()
+        await robot.make_safe()
+        assert fake.stands
+        await run(robot, 5)
+        assert len(await executed(robot, 5)) == 5, "prepare allows motion again"
+
+
+async def test_a_controller_without_the_background_task_is_refused_before_motion(tmp_path: Path) -> None:
+    async with robot_at(tmp_path, has_watch=False) as (robot, _):
+        with pytest.raises(DeviceRefused, match=r"T_POLISHD does not answer.*polishd_watch\.mod"):
+            await robot.prepare(plan_of([rapid_move(0)]))
+
+
+async def test_a_module_that_the_controller_cannot_read_is_refused_by_its_block(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        plan = plan_of([rapid_move(0), b"SpindleOn;", rapid_move(1)])
+        await robot.prepare(plan)
+        with pytest.raises(DeviceRefused, match=r"unknown entity spindleon.*block 1"):
+            await robot.send(plan.segments)
+        assert fake.stands
+
+
+async def test_another_clients_mastership_is_refused(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        other = RwsServices(fake.account, 2.0)
+        await other.open()
+        await other._post("/rw/mastership/rapid?action=request", {})
+        plan = plan_of([rapid_move(0)])
+        await robot.prepare(plan)
+        with pytest.raises(DeviceRefused, match="another client holds the mastership"):
+            await robot.send(plan.segments)
+        await other.close()
+
+
+async def test_a_wrong_password_is_refused(tmp_path: Path) -> None:
+    fake = await FakeAbb(tmp_path).start()
+    robot = AbbRobot(replace(fake.account, password="wrong"), TIMES)
+    with pytest.raises(DeviceRefused, match="refuses user 'Default User'"):
+        await robot.open()
+    await fake.close()
+
+
+async def test_a_reopened_link_follows_the_program_that_still_runs(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, _):
+        await run(robot)
+        await executed(robot, 3)
+        await robot.close()
+        await robot.open()
+        assert len(await executed(robot, 60)) == 60
+
+
+async def test_blocks_last_as_long_as_the_program_says_and_a_hold_counts_for_none(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot, 40)
+        await executed(robot, 12)
+        await robot.hold()
+        assert fake.stands
+        await asyncio.sleep(2.0)
+        await robot.resume()
+        found = await executed(robot, 40)
+        moves = fake.controller.motion.executed
+        # the traps' delay is up to 12 ms; a hold is known to a cycle of the background task and of this process
+        assert found[-1].end_s - found[0].end_s == pytest.approx(moves[39][2] - moves[0][2], abs=0.3)
+
+
+async def test_an_answer_that_comes_twice_ends_the_link(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        fake.filter = lambda data: [data, data]
+        with pytest.raises(ProtocolError, match="bytes came without a request"):
+            await robot._connection.until(lambda: False, SOON_S)
