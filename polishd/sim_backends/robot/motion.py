@@ -353,9 +353,9 @@ class SimRobotBody:
         model = start.config.robot_model()
         self._reaching = None if isinstance(model, MeasuredCompliance) else Reaching(model)
 
-    def set_pace(self, now_s: float) -> None:
-        """Move from now on as fast as the faults of the script allow, and report it to the plant."""
-        pace = self._override.actual(now_s)
+    def set_pace(self, now_s: float, slider: float = 1.0) -> None:
+        """Move from now on as fast as the faults of the script and the slider allow, and report it to the plant."""
+        pace = slider * self._override.actual(now_s)
         if pace != self.motion.pace:
             self.motion.set_pace(now_s, pace)
             self._runtime.link.pace(pace, now_s)
