@@ -13,8 +13,11 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from polishd.daemon.journal.store import LATE_S
 from polishd.model.devices import ActuatorTimes, LoaderTimes, RobotTimes, SensorTimes, SpindleTimes
+from polishd.model.surface import FloatArray
 
 ANSWERS_S = 3.0
 """Longest time beyond a device's action until it confirms: a link opened again, a few requests."""
@@ -118,6 +121,37 @@ class TimeLimits:
         stays = self.actuator.unpowered == "stays"
         on_s = max(self.actuator.alone_s, self.robot.watchdog_s + self.robot.stop_s if stays else 0.0)
         return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + on_s
+
+    @property
+    def held_motion_s(self) -> float:
+        """Motion that a robot with few instructions must hold beyond the one under way, at any time in contact.
+
+        An executed instruction is reported late, and only then replaced.
+        """
+        return self.buffer_s + self.robot.report_s
+
+    def held_motion(self, encoding: str, time_s: FloatArray) -> ActionTimeLimit | None:
+        """Return the limit of the motion in the instructions that the robot holds; None for a robot without it.
+
+        Args:
+            encoding: of the program: with dwells a point is two instructions.
+            time_s: (n,) time of each timed point.
+        """
+        points = self.held_points(encoding)
+        if not self.robot.held_instructions:
+            return None
+        sums = np.convolve(time_s, np.ones(points), "valid") if len(time_s) > points else [float(time_s.sum())]
+        return ActionTimeLimit(
+            "machine.least_point_s",
+            f"motion in the {self.robot.held_instructions} instructions that the robot holds: {points} whole points",
+            round(float(np.min(sums)), 3),
+            self.held_motion_s,
+            f"to lift the tool if the actuator stops answering: {self.held_motion_s / points:.3f} s a point",
+        )
+
+    def held_points(self, encoding: str) -> int:
+        """Return the number of whole points in the instructions that the robot holds beyond the one under way."""
+        return max((self.robot.held_instructions - 1) // (2 if encoding == "dwell" else 1), 1)
 
     @property
     def end_blur_s(self) -> float:

@@ -76,6 +76,19 @@ class RmiProgramTracker(ProgramTracker):
         self.target: int | None = 0
         """Blocks below it may run; None for all."""
         self.first_sequence = 1
+        self._expected_s = np.full(blocks, np.nan)
+        """Planned time of each block that is a timed point; of a dwell with its move."""
+        timed = plan.program.block
+        self._expected_s[timed] = plan.expected_time_s[: len(timed)]
+        self._untimed = range(int(timed[0]), int(timed[-1])) if plan.program.encoding == "dwell" and len(timed) else ()
+        """Blocks whose moves are in the planned time of the dwell behind them."""
+
+    def seconds_of(self, instruction: RmiInstruction) -> float:
+        """Return the time that an instruction takes by the plan; outside of the timed points its least time."""
+        planned_s = float(self._expected_s[instruction.block])
+        if not np.isnan(planned_s):
+            return planned_s
+        return 0.0 if instruction.block in self._untimed else instruction.seconds
 
     @property
     def end(self) -> int:
@@ -104,7 +117,7 @@ class RmiProgramTracker(ProgramTracker):
     def has_credit(self, instruction: RmiInstruction, most_s: float) -> bool:
         """Whether the controller may hold one more: at most 8, and without a link it stops within ``most_s``."""
         held = self.instructions[self.answered : self.sent]
-        held_s = sum(one.seconds for one in held) + instruction.seconds
+        held_s = sum(map(self.seconds_of, held)) + self.seconds_of(instruction)
         return not held or (len(held) < MOST_OUTSTANDING and held_s <= most_s)
 
     def ahead_s(self, time_s: float) -> float:
@@ -116,8 +129,8 @@ class RmiProgramTracker(ProgramTracker):
         held = self.sent if self.next() is not None and self.state == "running" else self.answered + MOST_OUTSTANDING
         ahead = self.instructions[self.answered : max(held, self.sent)]
         spent_s = self.clock_s - self.began_s + (max(time_s - self.seen_s, 0.0) if self.state == "running" else 0.0)
-        first_s = max(ahead[0].seconds - spent_s, 0.0) if ahead else 0.0
-        return first_s + sum(instruction.seconds for instruction in ahead[1:])
+        first_s = max(self.seconds_of(ahead[0]) - spent_s, 0.0) if ahead else 0.0
+        return first_s + sum(map(self.seconds_of, ahead[1:]))
 
     def executed(self, time_s: float) -> None:
         """Record the oldest outstanding instruction as executed at that time."""

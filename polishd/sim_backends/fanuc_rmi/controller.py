@@ -216,15 +216,25 @@ class FanucController:
     def _command(self, message: Message, now_s: float) -> None:
         name = message["Command"]
         known: dict[Any, Callable[[Message, float], Message]] = {
-            "FRC_Initialize": self._initialize, "FRC_Abort": self._aborted, "FRC_Pause": self._paused,
-            "FRC_Continue": self._continue, "FRC_Reset": self._reset, "FRC_GetStatus": self._status,
-            "FRC_GetExtStatus": self._extended_status, "FRC_SetOverRide": self._set_override,
-            "FRC_ReadCartesianPosition": self._position,             "FRC_ReadError": self._read_error, "FRC_GetUFrameUTool": self._get_frames,
-            "FRC_SetUFrameUTool": self._set_frames, "FRC_ReadUFrameData": self._frame_read,
-            "FRC_WriteUFrameData": self._frame_written, "FRC_ReadUToolData": self._frame_read,
-            "FRC_WriteUToolData": self._frame_written, "FRC_ReadDIN": self._read_input,
+            "FRC_Initialize": self._initialize,
+            "FRC_Abort": self._aborted,
+            "FRC_Pause": self._paused,
+            "FRC_Continue": self._continue,
+            "FRC_Reset": self._reset,
+            "FRC_GetStatus": self._status,
+            "FRC_GetExtStatus": self._extended_status,
+            "FRC_SetOverRide": self._set_override,
+            "FRC_ReadCartesianPosition": self._position,
+            "FRC_ReadError": self._read_error,
+            "FRC_GetUFrameUTool": self._get_frames,
+            "FRC_SetUFrameUTool": self._set_frames,
+            "FRC_ReadUFrameData": self._frame_read,
+            "FRC_WriteUFrameData": self._frame_written,
+            "FRC_ReadUToolData": self._frame_read,
+            "FRC_WriteUToolData": self._frame_written,
+            "FRC_ReadDIN": self._read_input,
             "FRC_WriteDOUT": self._write_output,
-        }  # fmt: skip
+        }
         try:
             if name not in known:
                 raise Refusal(BAD_COMMAND)
