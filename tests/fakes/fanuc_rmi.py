@@ -36,6 +36,10 @@ class FakeFanuc:
         self.silent = False
         self.filter: Filter = unchanged
         self.port = 0
+        self.lines: list[bytes] = []
+        """All lines of the session."""
+        self.most_held = 0
+        """Most instructions that were outstanding."""
         self._servers: list[asyncio.Server] = []
         self._writers = set[asyncio.StreamWriter]()
         self._is_cut = False
@@ -69,6 +73,16 @@ class FakeFanuc:
         """Nothing moves or waits."""
         return self.controller.motion.state != "running"
 
+    @property
+    def held(self) -> int:
+        """Outstanding instructions."""
+        return len(self.controller._held)
+
+    def drop_session(self) -> None:
+        """Cut the link of the session once."""
+        for writer in list(self._writers):
+            writer.transport.abort()
+
     async def _run(self) -> None:
         while True:
             self.controller.tick(time.monotonic())
@@ -92,7 +106,9 @@ class FakeFanuc:
         try:
             with self._kept(writer):
                 while line := await reader.readline():
+                    self.lines.append(line)
                     self.controller.on_line(line, time.monotonic())
+                    self.most_held = max(self.most_held, self.held)
         finally:
             self.controller.end(time.monotonic())
 

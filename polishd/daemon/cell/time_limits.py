@@ -185,6 +185,7 @@ class TimeLimits:
         of_coil, of_robot = partial(_key, "actuator", coil), partial(_key, "robot", robot)
         of_spindle = partial(_key, "spindle", spindle)
         lost_s = robot.silence_s + coil.lifted_s
+        held_s = 2.0 * self.held_motion_s if robot.held_instructions else 0.0
         stays = [ActionTimeLimit("", "tool lifted by the robot if the actuator has no power", self.taken_off_s)]
         return (
             *self._of_sensor(apart_s, force_s),
@@ -221,9 +222,10 @@ class TimeLimits:
                 of_robot("watchdog_s"),
                 "watchdog of the robot",
                 robot.watchdog_s,
-                max(coil.alone_s, lost_s),
+                max(coil.alone_s, lost_s, held_s),
                 f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
-                f"robot's silence and lift {lost_s:g} s",
+                f"robot's silence and lift {lost_s:g} s"
+                + (f", twice the motion in its instructions {held_s:g} s" if held_s else ""),
             ),
             ActionTimeLimit(of_robot("stop_s"), "robot stops or lifts, at most", robot.stop_s),
             ActionTimeLimit(

@@ -99,10 +99,10 @@ class RmiProgramTracker(ProgramTracker):
         """Read more blocks, in order. DeviceRefused for one that the controller cannot execute: it is not taken."""
         for segment in segments:
             instruction = self.reader.read(segment.seq, segment.text)
-            if instruction is not None and instruction.seconds > most_s:
+            if instruction is not None and instruction.seconds > most_s / 2.0:
                 raise DeviceRefused(
-                    f"block {segment.seq} takes {instruction.seconds:g} s; at most {most_s:g} s (robot.watchdog_s): "
-                    "without a link the robot stops after it. Split it, or increase robot.watchdog_s."
+                    f"block {segment.seq} takes {instruction.seconds:g} s; at most {most_s / 2.0:g} s, half of "
+                    "robot.watchdog_s: without a link the robot stops after it. Split it, or increase robot.watchdog_s."
                 )
             self.accepted += 1
             if instruction is not None:
@@ -114,11 +114,15 @@ class RmiProgramTracker(ProgramTracker):
             return self.instructions[self.sent]
         return None
 
-    def has_credit(self, instruction: RmiInstruction, most_s: float) -> bool:
-        """Whether the controller may hold one more: at most 8, and without a link it stops within ``most_s``."""
-        held = self.instructions[self.answered : self.sent]
-        held_s = sum(map(self.seconds_of, held)) + self.seconds_of(instruction)
-        return not held or (len(held) < MOST_OUTSTANDING and held_s <= most_s)
+    def has_credit(self, instruction: RmiInstruction, time_s: float, most_s: float) -> bool:
+        """Whether the controller may hold one more: at most 8, and without a link it stops within ``most_s``.
+
+        An instruction takes half of that at most, so that one goes out before half is used up.
+        """
+        if self.sent - self.answered >= MOST_OUTSTANDING:
+            return False
+        held_s = self._motion_s(self.sent, time_s)
+        return held_s <= most_s / 2.0 or held_s + self.seconds_of(instruction) <= most_s
 
     def ahead_s(self, time_s: float) -> float:
         """Return the least time that the motion ahead of the tool takes at that time of the clock.
@@ -127,7 +131,11 @@ class RmiProgramTracker(ProgramTracker):
         those that the controller would hold.
         """
         held = self.sent if self.next() is not None and self.state == "running" else self.answered + MOST_OUTSTANDING
-        ahead = self.instructions[self.answered : max(held, self.sent)]
+        return self._motion_s(max(held, self.sent), time_s)
+
+    def _motion_s(self, to: int, time_s: float) -> float:
+        """Return the time of the instructions below ``to`` that are not executed."""
+        ahead = self.instructions[self.answered : to]
         spent_s = self.clock_s - self.began_s + (max(time_s - self.seen_s, 0.0) if self.state == "running" else 0.0)
         first_s = max(self.seconds_of(ahead[0]) - spent_s, 0.0) if ahead else 0.0
         return first_s + sum(map(self.seconds_of, ahead[1:]))
@@ -487,7 +495,7 @@ class FanucRmi:
                 and tracker.state == "running"
                 and not self._is_paused
                 and (instruction := tracker.next()) is not None
-                and tracker.has_credit(instruction, self._times.watchdog_s)
+                and tracker.has_credit(instruction, time.monotonic(), self._times.watchdog_s)
             ):
                 sequence = next(self._sequence)
                 if not tracker.sent:
@@ -507,21 +515,25 @@ class FanucRmi:
             tracker.fail(f"the controller refuses block {block}: {error_text(error)}")
         elif at == tracker.answered:
             tracker.executed(time.monotonic())
-            self._go_on()
+            if self._goes_on():
+                return  # the next instruction is sent before a waiter looks at the motion that is left
         self._poller.fire()
 
-    def _go_on(self) -> None:
-        """Send the next instruction at once: from the receiver, which must not wait for it."""
+    def _goes_on(self) -> bool:
+        """Send the next instruction at once, in a task: the receiver must not wait for it. False if there is none."""
         tracker, session = self._tracker, self._poller.link
-        if tracker is not None and tracker.state == "running" and tracker.next() is not None:
-            task = asyncio.ensure_future(self._pump_on(session))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+        if tracker is None or tracker.state != "running" or tracker.next() is None:
+            return False
+        task = asyncio.ensure_future(self._pump_on(session))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return True
 
     async def _pump_on(self, session: RmiSession) -> None:
         with contextlib.suppress(LinkError, ProtocolError):  # the session's own error reaches every waiting call
             if session.alive:
                 await self._pump()
+        self._poller.fire()
 
     def _faulted(self, why: str) -> None:
         if self._tracker is not None and self._tracker.state == "running":
@@ -539,6 +551,8 @@ class FanucRmi:
             tracker.fail("the program was paused at the controller")
         elif not snapshot.status.rmi_runs:
             tracker.fail("the program was ended at the controller")
+        else:
+            await self._pump()  # credit by time comes back while an instruction is executed
 
 
 # The device type ``fanuc_rmi``: a robot on a FANUC controller with option R912 (docs/protocols/fanuc_rmi.md).
@@ -554,7 +568,7 @@ class FanucRmiOptions(ConfigSection):
     """Address of the controller: ``tcp://host:16001``."""
     group: Annotated[int, Field(ge=1, le=127)] = 1
     """Motion group mask of ``FRC_Initialize``. [1]"""
-    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 8.0
+    watchdog_s: Annotated[float, Field(gt=0.0, le=600.0)] = 60.0
     """Longest time that the 8 instructions which the controller holds may take: without a link it stops after them."""
     silence_s: Annotated[float, Field(ge=0.2, le=60.0)] = 1.5
     """Longest time without an answer; then the link is lost and contact is left."""
