@@ -46,7 +46,8 @@ def take(files: DemoFiles) -> None:
     robot = {"address": f"tcp://127.0.0.1:{port}", **QUICK["robot"]}
     cell = with_keys(cell, {**QUICK, "robot": robot}).replace('format = "rs274"', 'format = "fanuc-tp"')
     files.cell.write_text(cell.replace('path = "program.rnc"', 'path = "program.ls"'))
-    files.sim.write_text(with_keys(files.sim.read_text(), {"robot": {"kind": "fanuc_rmi", "port": port}}))
+    simulated = {"robot": {"kind": "fanuc_rmi", "port": port}, "actuator": {"lift_s": 0.5}}
+    files.sim.write_text(with_keys(files.sim.read_text(), simulated))
 
 
 def tp_program(config: CellConfig, points_mm: float = POINTS_MM, dwell_s: float = DWELL_S) -> bytes:

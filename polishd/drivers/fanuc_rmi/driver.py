@@ -52,7 +52,7 @@ OPEN_S = 3.0
 ACTION_S = 5.0
 """Longest time of FRC_Initialize, FRC_Abort, FRC_Reset: the controller makes or ends a TP program."""
 WINDOW = 128
-"""Blocks that the driver takes before they can be sent: what the daemon sends at once."""
+"""Instructions that the driver takes before they can be sent: as many blocks as the daemon sends at once."""
 START_S = 1.0
 """Time after a command to run in which the controller may still report its earlier state."""
 STILL_MM, STILL_DEG = 1e-3, 1e-3
@@ -316,32 +316,30 @@ class FanucRmi:
     async def send(self, segments: Sequence[Segment]) -> None:
         """See Robot. A running robot has accepted a block when its instruction is sent.
 
-        While it stands the driver takes up to ``WINDOW`` blocks, so that a start finds them.
+        While it stands the driver takes ``WINDOW`` instructions, so that a start finds them. Lines that neither move
+        nor wait are taken at once.
         """
         async with self._sending:
             tracker = self._loaded()
             self._poller.check()
             new = new_blocks(segments, tracker.accepted, LONGEST_LINE, self._name)
             for segment in new:
-                await self._room(tracker, segment.seq)
+                await self._room(tracker)
                 try:
                     tracker.take([segment], self._times.watchdog_s)
                 except DeviceRefused as refusal:
                     raise DeviceRefused(f"{self._name}: {refusal}") from None
             await self._pump()
             if new:
-                await self._room(tracker, new[-1].seq)
+                await self._room(tracker)
 
-    async def _room(self, tracker: RmiProgramTracker, seq: int) -> None:
-        """Wait until a block may be taken, or is sent: credit of the controller, or room in the window."""
+    async def _room(self, tracker: RmiProgramTracker) -> None:
+        """Wait until more blocks may be taken: by credit of the controller, or in the window while it stands."""
 
         def has_room() -> bool:
-            if tracker is not self._tracker or tracker.ended:
-                return True
-            waiting = tracker.instructions[tracker.sent].block if tracker.sent < len(tracker.instructions) else seq
-            if tracker.state == "running" and waiting < tracker.end:
-                return seq - waiting < MOST_OUTSTANDING
-            return seq - max(len(tracker), min(waiting, seq)) < WINDOW
+            waits = len(tracker.instructions) - tracker.sent
+            is_sending = tracker.state == "running" and tracker.next() is not None
+            return tracker is not self._tracker or tracker.ended or waits < (MOST_OUTSTANDING if is_sending else WINDOW)
 
         if not has_room():
             await self._pump()
