@@ -27,7 +27,7 @@ QUICK = {
     "machine": {"max_feed_mm_s": float(FEED_MM_S), "least_point_s": 1.5},
     "job": {"stream_ahead_s": 4.5},
 }
-"""A lift by the actuator's watchdog takes 3.4 s: so much motion is in three points of 1.5 s, with a margin for a busy computer."""
+"""A lift by the actuator's watchdog takes 3.4 s; three points of 1.5 s have a margin for a busy computer."""
 
 
 def write_files(out: Path, *faults: dict[str, Any], **job: Any) -> DemoFiles:
