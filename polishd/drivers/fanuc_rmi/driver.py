@@ -233,8 +233,6 @@ class FanucRmi:
         self._holds = 0
         self._sending = asyncio.Lock()
         self._pumping = asyncio.Lock()
-        self._tasks = set[asyncio.Task[None]]()
-        """Instructions on their way that an answer has let go."""
         self._stopping = asyncio.Lock()
 
     @property
@@ -419,7 +417,7 @@ class FanucRmi:
         return True
 
     def _session(self) -> RmiSession:
-        return RmiSession(self._address, self._times, self._answered, self._faulted)
+        return RmiSession(self._address, self._times, self._answered, self._faulted, self._credit)
 
     def _loaded(self) -> RmiProgramTracker:
         if self._tracker is None or self._tracker.dropped:
@@ -513,24 +511,10 @@ class FanucRmi:
             tracker.fail(f"the controller refuses block {block}: {error_text(error)}")
         elif at == tracker.answered:
             tracker.executed(time.monotonic())
-            if self._goes_on():
-                return  # the next instruction is sent before a waiter looks at the motion that is left
-        self._poller.fire()
 
-    def _goes_on(self) -> bool:
-        """Send the next instruction at once, in a task: the receiver must not wait for it. False if there is none."""
-        tracker, session = self._tracker, self._poller.link
-        if tracker is None or tracker.state != "running" or tracker.next() is None:
-            return False
-        task = asyncio.ensure_future(self._pump_on(session))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return True
-
-    async def _pump_on(self, session: RmiSession) -> None:
-        with contextlib.suppress(LinkError, ProtocolError):  # the session's own error reaches every waiting call
-            if session.alive:
-                await self._pump()
+    async def _credit(self) -> None:
+        """Send what an answer has let go, and then wake all waiters: they see the motion that is held again."""
+        await self._pump()
         self._poller.fire()
 
     def _faulted(self, why: str) -> None:

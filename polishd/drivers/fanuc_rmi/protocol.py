@@ -11,7 +11,7 @@ import contextlib
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -138,8 +138,12 @@ class RmiSession(Background):
         times: RobotTimes,
         on_executed: Callable[[int, int], None] = lambda _sequence, _error: None,
         on_fault: Callable[[str], None] = lambda _why: None,
+        on_credit: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
-        """``on_executed`` gets the sequence number and the ErrorID of each answered instruction."""
+        """``on_executed`` gets the sequence number and the ErrorID of each answered instruction.
+
+        ``on_credit`` is awaited afterwards, in a task of the session.
+        """
         super().__init__(str(address))
         self.firmware = ""
         self.outstanding: deque[int] = deque()
@@ -148,7 +152,8 @@ class RmiSession(Background):
         """Until then it may hold instructions of an earlier session."""
         self._address = address
         self._silence_s, self._watchdog_s = times.silence_s, times.watchdog_s
-        self._on_executed, self._on_fault = on_executed, on_fault
+        self._on_executed, self._on_fault, self._on_credit = on_executed, on_fault, on_credit
+        self._has_credit = asyncio.Event()
         self._queue = RequestQueue(self.name)
         self._stream: ByteStream | None = None
         self._claim = Claim()
@@ -166,7 +171,7 @@ class RmiSession(Background):
         try:
             port = await self._session_port()
             self._stream = await open_stream(Tcp(self._address.host, port), CONNECT_S)
-            await self.start(self._receive, CONNECT_S)
+            await self.start(self._run, CONNECT_S)
             await self._queue.start()
             status = await self.status()
             if status.rmi_runs and status.program == RUNNING:
@@ -277,6 +282,18 @@ class RmiSession(Background):
         finally:
             self._expected = ""
 
+    async def _run(self, ready: Ready) -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._receive(ready))
+            group.create_task(self._use_credit())
+
+    async def _use_credit(self) -> None:
+        while True:
+            await self._has_credit.wait()
+            self._has_credit.clear()
+            if self._on_credit is not None:
+                await self._on_credit()
+
     async def _receive(self, ready: Ready) -> None:
         stream = self._stream
         if stream is None:
@@ -321,6 +338,7 @@ class RmiSession(Background):
             raise ProtocolError(f"{self.name}: instruction {sequence} was executed before {self.outstanding[0]}")
         self.outstanding.remove(sequence)
         self._on_executed(sequence, error)
+        self._has_credit.set()
 
 
 def _line(message: Mapping[str, Any]) -> bytes:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from polishd.model.errors import DeviceRefused
 from polishd.sim_backends.fanuc_rmi.section import SimFanucRmiSection
 from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.program_reader import Pose, Reach, SimProgramBlock
@@ -33,14 +34,6 @@ BAD_SPEED_TYPE, BAD_SPEED, BAD_TERM_TYPE, BAD_TERM = _RMIT + 30, _RMIT + 31, _RM
 OUT_OF_REACH, BAD_PORT = _RMIT + 36, _RMIT + 38
 FLAT = dict.fromkeys("XYZWPR", 0.0)
 Message = dict[str, Any]
-
-
-class Refusal(Exception):
-    """An answer with that ErrorID."""
-
-    def __init__(self, error: int) -> None:
-        super().__init__(error)
-        self.error = error
 
 
 def wrist_of(w_deg: float, p_deg: float, r_deg: float) -> tuple[float, float]:
@@ -237,10 +230,10 @@ class FanucController:
         }
         try:
             if name not in known:
-                raise Refusal(BAD_COMMAND)
+                raise DeviceRefused(BAD_COMMAND)
             answer = {"Command": name, "ErrorID": 0, **known[name](message, now_s)}
-        except Refusal as refusal:
-            answer = {"Command": name, "ErrorID": refusal.error}
+        except DeviceRefused as refusal:
+            answer = {"Command": name, "ErrorID": refusal.args[0]}
         except (KeyError, TypeError, ValueError):
             answer = {"Command": name, "ErrorID": BAD_VALUE}
         if name == "FRC_Abort" and not answer["ErrorID"]:
@@ -250,13 +243,13 @@ class FanucController:
 
     def _initialize(self, message: Message, _now_s: float) -> Message:
         if self.pendant_enabled:
-            raise Refusal(PENDANT_ON)
+            raise DeviceRefused(PENDANT_ON)
         if not self.servo_ready:
-            raise Refusal(SERVO_OFF)
+            raise DeviceRefused(SERVO_OFF)
         if self.in_hold:
-            raise Refusal(IN_HOLD)
+            raise DeviceRefused(IN_HOLD)
         if self.initialized or self.motion.state == "running":
-            raise Refusal(WRONG_STATE)
+            raise DeviceRefused(WRONG_STATE)
         self.motion.load(CAPACITY)
         self._was, self._answered, self._stops = self.motion.state, 0, True
         self._target = self._pose()
@@ -266,27 +259,27 @@ class FanucController:
 
     def _aborted(self, _message: Message, now_s: float) -> Message:
         if not self.initialized:
-            raise Refusal(NOT_RUNNING)
+            raise DeviceRefused(NOT_RUNNING)
         self._abort(now_s)
         return {}
 
     def _paused(self, _message: Message, now_s: float) -> Message:
         if self.program != RUNNING:
-            raise Refusal(NOT_RUNNING)
+            raise DeviceRefused(NOT_RUNNING)
         self._pause(now_s, "pause")
         return {}
 
     def _continue(self, _message: Message, _now_s: float) -> Message:
         if self.program != PAUSED:
-            raise Refusal(NOT_PAUSED)
+            raise DeviceRefused(NOT_PAUSED)
         if self.pendant_enabled or not self.servo_ready:
-            raise Refusal(WRONG_STATE)
+            raise DeviceRefused(WRONG_STATE)
         self.program = RUNNING
         return {}
 
     def _reset(self, _message: Message, _now_s: float) -> Message:
         if self.estop:
-            raise Refusal(NO_RESET)
+            raise DeviceRefused(NO_RESET)
         self.servo_ready, self.in_hold = True, False
         self._errors.clear()
         return {}
@@ -319,7 +312,7 @@ class FanucController:
     def _set_override(self, message: Message, _now_s: float) -> Message:
         percent = int(message["Value"])
         if not 1 <= percent <= 100:
-            raise Refusal(BAD_OVERRIDE)
+            raise DeviceRefused(BAD_OVERRIDE)
         self.slider = percent / 100.0
         return {}
 
@@ -385,8 +378,8 @@ class FanucController:
             _require(len(self._held) < HELD, TOO_MANY)
             _require(self.motion.accepted < CAPACITY, INTERNAL)
             self._append(name, message, now_s)
-        except Refusal as refusal:
-            self._refuse(name, sequence, refusal.error)
+        except DeviceRefused as refusal:
+            self._refuse(name, sequence, refusal.args[0])
             return
         except (KeyError, TypeError, ValueError):
             self._refuse(name, sequence, BAD_VALUE)
@@ -489,7 +482,7 @@ def _parsed(line: bytes) -> Message:
 
 def _require(condition: bool, error: int) -> None:
     if not condition:
-        raise Refusal(error)
+        raise DeviceRefused(error)
 
 
 def _frame_of(message: Message) -> tuple[str, int]:
