@@ -26,6 +26,7 @@ QUICK = {
     "actuator": {"silence_s": 0.8, "watchdog_ms": 1200, "retract_s": 2.0},
     "machine": {"max_feed_mm_s": float(FEED_MM_S), "least_point_s": 1.5},
     "job": {"stream_ahead_s": 4.5},
+    "limits": {"max_removal_nm": 3000.0},
 }
 """A lift by the actuator's watchdog takes 3.4 s; three points of 1.5 s have a margin for a busy computer."""
 
@@ -34,7 +35,7 @@ def write_files(out: Path, *faults: dict[str, Any], **job: Any) -> DemoFiles:
     """The demo's files with a small part, that robot, and a program with a dwell at each point."""
     files = write_small(out, **job)
     take(files)
-    with_part(files, PART, tp_program, pv_nm=500.0, rms_nm=100.0)
+    with_part(files, PART, tp_program, pv_nm=300.0, rms_nm=60.0)
     files.sim.write_text(with_faults(files.sim.read_text(), *({"device": "robot", **fault} for fault in faults)))
     return files
 

@@ -13,6 +13,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.commissioned import forged
+from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, events, summary
 from tests.system.fanuc_rmi_rig import dwell_cell
 from tests.system.sim_rig import alive, wait_for
@@ -87,11 +88,13 @@ def test_a_daemon_that_dies_leaves_a_robot_that_ends_what_it_holds_and_moves_no_
         assert not alive(daemon.process.pid)
 
 
+@pytest.mark.timeout(6 * SOON_S)
 def test_the_example_is_rehearsed_to_its_tolerance(tmp_path: Path) -> None:
+    """In real time: a pass takes two and a half minutes."""
     shutil.copytree(EXAMPLES / "fanuc_rmi", tmp_path / "fanuc_rmi")
     forged(Path(shutil.copy(EXAMPLES / "instrument.toml", tmp_path)))
     with rehearsed(tmp_path / "fanuc_rmi" / "cell.toml") as files:
         with Daemon(files, "--no-hold") as daemon:
-            assert daemon.wait() == 0, daemon.output.read_text()
+            assert daemon.process.wait(4 * SOON_S) == 0, daemon.output.read_text()
         require_safe_order(events(files))
     assert summary(files)["outcome"] == "in_tolerance"

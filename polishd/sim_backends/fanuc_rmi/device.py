@@ -72,7 +72,7 @@ class FanucServer:
 
     def _tick(self) -> None:
         now = time.monotonic()
-        self._machine.set_pace(now, self.controller.slider)
+        self._machine.set_pace(now, self.controller.slider, is_slowed=not self.controller.motion.waits)
         self.controller.tick(now)
         self._machine.report()
 
