@@ -237,6 +237,8 @@ class MachineSection(ConfigSection):
     """Acceleration used for planned times, on the safe side; at most two g."""
     block_overhead_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Start value of the time that a block takes beyond its motion. The daemon estimates it from executed passes."""
+    least_point_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Least time of a timed point in a plan. A robot that holds few instructions needs it (`polishd check`)."""
     corner_deg: Annotated[float, Field(ge=0, le=180)] = 30.0
     """Change of direction beyond which the machine stops at a block's end."""
     x_mm: Range

@@ -187,6 +187,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "robot_link": ("", "link"),
     "linuxcnc": ("", "linuxcnc"),
     "universal_robots": ("", "universal_robots"),
+    "fanuc_rmi": ("", "fanuc_rmi"),
     "plc_robot": ("", "opcua"),
     "abb_rws": ("", "abb_rws"),
     "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),

@@ -26,6 +26,7 @@ from polishd.daemon.cell.recorder import place, recording_to
 from polishd.daemon.contact.safety import ContactLimits, make_safe
 from polishd.daemon.contact.stall_removal import (
     StallRemoval,
+    require_held_motion,
     require_stall_depth,
     stall_removal,
     timing_uncertainty_s,
@@ -101,6 +102,7 @@ def _along(
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))
+    held = require_held_motion(config, cell, recipe, program)
     facts = {
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
         "covers": require_fit(config, recipe, program),
@@ -122,6 +124,7 @@ def _along(
         ),
         **({"feed hold at the controller": pit} if pit else {}),
         **({"end of a block known to": blurred} if (blurred := timing_uncertainty_s(cell, recipe)) else {}),
+        **({"motion held by the robot": held} if held else {}),
     }
     return facts, stall_removal(cell.limits, recipe, program, contact_limits(config).no_progress_s)
 

@@ -17,7 +17,7 @@ from polishd.daemon.job.job import Job
 from polishd.daemon.job.map_wait import next_map
 from polishd.daemon.job.part_handling import PartHandling, until_approved
 from polishd.daemon.journal.journal import Journal
-from polishd.model.errors import ToolStop
+from polishd.model.errors import PlanRefused, ToolStop
 from polishd.model.program import Plan
 from polishd.model.states import CyclePhase, Outcome
 from polishd.pipeline.decisions import Accept, AnotherPass, Diverge, PassesUsed, Stalled, ToolWorn, passes_used
@@ -87,6 +87,12 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
 def _fed(cell: Cell, job: Job, plan: Plan, excess: ExcessMap) -> AbstractAsyncContextManager[Stream]:
     """Stream the plan to the robot; its progress goes to the cell's live values."""
     limits = job.tools.now.contact
+    held = cell.limits.held_motion(plan.program.encoding, plan.expected_time_s)
+    if held is not None and not held.holds:
+        raise PlanRefused(
+            f"{held.what} take only {held.seconds:.3f} s; {held.least_s:.3f} s are needed to lift the tool. "
+            "Increase machine.least_point_s; nothing was moved."
+        )
     return streaming(
         plan,
         cell.robot,

@@ -195,6 +195,8 @@ class RobotTimes:
     """Greatest age of a report of executed blocks: the period of the link's reports and their way."""
     reports_dwells: bool = True
     """It reports the end of a move before the dwell after it; LinuxCNC reports the line of its last motion."""
+    held_instructions: int = 0
+    """Most instructions that it holds, the one under way among them: it stops after them. 0: no such limit."""
     keys: Mapping[str, str] = field(default_factory=dict)
     """Fields whose key in the device's section has another name: its name there, by field."""
 

@@ -206,3 +206,5 @@ class Envelope:
     """Largest removal of one pass at any point of the part."""
     max_pass_s: float
     """Longest process time of one pass."""
+    least_point_s: float = 0.0
+    """Least time of a timed point in a plan: a robot that holds few instructions needs so much motion in them."""

@@ -111,8 +111,8 @@ class ToolSubproblem:
     envelope: Envelope
 
     def least_s(self) -> FloatArray:
-        """(n,) least time of the motion."""
-        return motion.least_time_s(self.program, self.envelope)
+        """(n,) least time: of the motion, and `machine.least_point_s`."""
+        return np.maximum(motion.least_time_s(self.program, self.envelope), self.envelope.least_point_s)
 
     def most_s(self) -> FloatArray:
         """(n,) longest time of the motion."""

@@ -17,6 +17,7 @@ LINKS = (
     "SFTP",
     "CANopen",
     "RTDE",
+    "FANUC RMI",
     "linuxcncrsh",
     "HTTP",
     "the page",

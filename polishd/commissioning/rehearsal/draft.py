@@ -362,7 +362,13 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
     """Add the robot; raise ConfigError if no simulated controller reads the cell's program."""
     kind, address = str(draft.config.devices[device].type), f"tcp://{LOOPBACK}:{free_port()}"
     _require_language(draft, device)
-    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "plc_robot": _plc_robot, "abb_rws": _abb_rws}
+    add = {
+        "linuxcnc": _linuxcnc,
+        "universal_robots": _universal_robots,
+        "abb_rws": _abb_rws,
+        "fanuc_rmi": _fanuc_rmi,
+        "plc_robot": _plc_robot,
+    }
     if simulated := is_simulated(draft, device, address=address):
         lay_address(draft, device, address)
     if kind in add:
@@ -425,6 +431,10 @@ def _abb_rws(draft: RehearsalDraft, device: str) -> None:
     for key, name in ABB_NAMES.items():
         if options[key] != name:
             draft.instead(f"{device}.{key}", name, "is the name in the simulated controller")
+
+
+def _fanuc_rmi(draft: RehearsalDraft, device: str) -> None:
+    draft.notes.append(f"{device}: in real time, because answers to instructions carry no clock of the controller")
 
 
 def _plc_robot(draft: RehearsalDraft, device: str) -> None:

@@ -13,8 +13,11 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from polishd.daemon.journal.store import LATE_S
 from polishd.model.devices import ActuatorTimes, LoaderTimes, RobotTimes, SensorTimes, SpindleTimes
+from polishd.model.surface import FloatArray
 
 ANSWERS_S = 3.0
 """Longest time beyond a device's action until it confirms: a link opened again, a few requests."""
@@ -120,6 +123,37 @@ class TimeLimits:
         return self.robot.silence_s + 2 * self.reading_s + LATE_S + 2 * LOOK_S + on_s
 
     @property
+    def held_motion_s(self) -> float:
+        """Motion that a robot with few instructions must hold beyond the one under way, at any time in contact.
+
+        An executed instruction is reported late, and only then replaced.
+        """
+        return self.buffer_s + self.robot.report_s
+
+    def held_motion(self, encoding: str, time_s: FloatArray) -> ActionTimeLimit | None:
+        """Return the limit of the motion in the instructions that the robot holds; None for a robot without it.
+
+        Args:
+            encoding: of the program: with dwells a point is two instructions.
+            time_s: (n,) time of each timed point.
+        """
+        points = self.held_points(encoding)
+        if not self.robot.held_instructions:
+            return None
+        sums = np.convolve(time_s, np.ones(points), "valid") if len(time_s) > points else [float(time_s.sum())]
+        return ActionTimeLimit(
+            "machine.least_point_s",
+            f"motion in the {self.robot.held_instructions} instructions that the robot holds: {points} whole points",
+            round(float(np.min(sums)), 3),
+            self.held_motion_s,
+            f"to lift the tool if the actuator stops answering: {self.held_motion_s / points:.3f} s a point",
+        )
+
+    def held_points(self, encoding: str) -> int:
+        """Return the number of whole points in the instructions that the robot holds beyond the one under way."""
+        return max((self.robot.held_instructions - 1) // (2 if encoding == "dwell" else 1), 1)
+
+    @property
     def end_blur_s(self) -> float:
         """Largest error of the reported end of a block."""
         return END_SIGMAS * self.robot.block_end_s
@@ -151,6 +185,7 @@ class TimeLimits:
         of_coil, of_robot = partial(_key, "actuator", coil), partial(_key, "robot", robot)
         of_spindle = partial(_key, "spindle", spindle)
         lost_s = robot.silence_s + coil.lifted_s
+        held_s = 2.0 * self.held_motion_s if robot.held_instructions else 0.0
         stays = [ActionTimeLimit("", "tool lifted by the robot if the actuator has no power", self.taken_off_s)]
         return (
             *self._of_sensor(apart_s, force_s),
@@ -187,9 +222,10 @@ class TimeLimits:
                 of_robot("watchdog_s"),
                 "watchdog of the robot",
                 robot.watchdog_s,
-                max(coil.alone_s, lost_s),
+                max(coil.alone_s, lost_s, held_s),
                 f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
-                f"robot's silence and lift {lost_s:g} s",
+                f"robot's silence and lift {lost_s:g} s"
+                + (f", twice the motion in its instructions {held_s:g} s" if held_s else ""),
             ),
             ActionTimeLimit(of_robot("stop_s"), "robot stops or lifts, at most", robot.stop_s),
             ActionTimeLimit(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
+
+import numpy as np
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.cell.cell import Cell
@@ -13,7 +16,7 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.steps import envelope_of, in_part_frame
 from polishd.process.removal.excess import ExcessMap
 from polishd.process.removal.measured_tif import SpotFigures, measured_figures, spot_figures
-from polishd.process.robot.motion import delivered_time_s
+from polishd.process.robot.motion import delivered_time_s, least_time_s
 
 NO_TOLERANCE_NM = 10.0
 """Tolerance to assume where no line of the tolerance is in nm."""
@@ -99,6 +102,31 @@ def require_stall_depth(config: CellConfig, cell: Cell, recipe: Recipe) -> str:
             "controller's signal 'in motion' to the actuator (in_motion_wired in its profile)",
         )
     return depth
+
+
+def require_held_motion(config: CellConfig, cell: Cell, recipe: Recipe, program: Program) -> str:
+    """Return the motion that a robot with few instructions holds, in words; empty for any other robot.
+
+    ConfigError if a plan of this program could hold less than the lift of the tool takes.
+    """
+    least_s = np.maximum(least_time_s(program, envelope_of(recipe, program)), recipe.envelope.least_point_s)
+    limit = cell.limits.held_motion(program.encoding, least_s)
+    if limit is None:
+        return ""
+    if not limit.holds:
+        needed_s = limit.least_s / cell.limits.held_points(program.encoding)
+        raise config.error(
+            limit.key,
+            f"{limit.what} of {program.name} may take only {limit.seconds:.3f} s; {limit.least_s:.3f} s are needed to "
+            f"lift the tool if the actuator stops answering. Set machine.least_point_s to {round_up(needed_s):g} or "
+            "more, or reduce the actuator's watchdog or its retract_s.",
+        )
+    return f"at least {limit.seconds:.2f} s in {cell.limits.robot.held_instructions} instructions; {limit.because}"
+
+
+def round_up(seconds: float) -> float:
+    """Return the time in whole ms, not below it."""
+    return math.ceil(1e3 * seconds - 1e-6) / 1e3
 
 
 def timing_uncertainty_s(cell: Cell, recipe: Recipe) -> str:

@@ -127,7 +127,7 @@ class Stream:
         with contextlib.suppress(TimeoutError):  # the buffer of a robot may be shorter than the look-ahead
             async with asyncio.timeout(2 * self._stream_ahead_s):
                 await self._filled.wait()
-        if self._starves():
+        if self._starves() and not self._robot.times.held_instructions:  # of which the plan has been checked
             raise DeviceRefused(
                 f"the robot buffers {self._robot.buffer_s:.2f} s of motion; {self._least_s:.2f} s are needed to lift "
                 "the tool if the actuator stops answering. Increase the controller's buffer, or reduce the actuator's "

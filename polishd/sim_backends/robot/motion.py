@@ -18,7 +18,7 @@ from polishd.sim_backends.common.hidden_truth import Frames, tool_axis
 from polishd.sim_backends.common.mechanics import Reaching
 from polishd.sim_backends.common.runtime import ROW, SimRuntime
 from polishd.sim_backends.robot.program_reader import Pose, SimProgramBlock
-from polishd.sim_backends.robot.trajectory import PAUSE, BlockColumns, Cursor, Legs, Limits, braking, plan, rows
+from polishd.sim_backends.robot.trajectory import DWELL, PAUSE, BlockColumns, Cursor, Legs, Limits, braking, plan, rows
 
 # Leaving the path along the tool's axis: a separate trapezoid, added to the remaining motion on the path.
 
@@ -221,6 +221,12 @@ class SimMotion:
         return self._origin[0] + (process_s - self._origin[1]) / self.limits.speed
 
     @property
+    def waits(self) -> bool:
+        """The block under way is a dwell."""
+        block = self._cursor.block
+        return block < self.path.accepted and bool(self.path.kind[block] == DWELL)
+
+    @property
     def accepted(self) -> int:
         """Number of accepted blocks."""
         return self.path.accepted
@@ -353,9 +359,12 @@ class SimRobotBody:
         model = start.config.robot_model()
         self._reaching = None if isinstance(model, MeasuredCompliance) else Reaching(model)
 
-    def set_pace(self, now_s: float) -> None:
-        """Move from now on as fast as the faults of the script allow, and report it to the plant."""
-        pace = self._override.actual(now_s)
+    def set_pace(self, now_s: float, slider: float = 1.0, *, is_slowed: bool = True) -> None:
+        """Move from now on as fast as the faults of the script and the slider allow, and report it to the plant.
+
+        ``is_slowed``: False while the controller only waits, which takes its time whatever they are.
+        """
+        pace = slider * self._override.actual(now_s) if is_slowed else 1.0
         if pace != self.motion.pace:
             self.motion.set_pace(now_s, pace)
             self._runtime.link.pace(pace, now_s)

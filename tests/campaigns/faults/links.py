@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from tests.system import abb_rig, plc_robot_rig, universal_robots_rig
+from tests.system import abb_rig, fanuc_rmi_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
@@ -20,6 +20,7 @@ Fault = Mapping[str, Any]
 SILENCE_S = 1.0
 """Of each link here: long enough for a busy machine, short enough for a fault to cost seconds only."""
 PLC_SILENCE_S = 3.0
+FANUC_SILENCE_S = fanuc_rmi_rig.QUICK["robot"]["silence_s"]
 QUIET = {"rate": 1.0, "duration_s": 60.0}
 LOST: Mapping[str, Fault] = {
     "hangs": {"what": "hang"},
@@ -189,6 +190,10 @@ def _abb(folder: Path) -> DemoFiles:
     return files
 
 
+def _fanuc(folder: Path) -> DemoFiles:
+    return fanuc_rmi_rig.write_files(folder, **ONE_PASS)
+
+
 FORCE = {"sticks": {"what": "stick"}}
 DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
 CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
@@ -201,6 +206,7 @@ LINKS: Mapping[str, Link] = {
     "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
     "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
     "Robot Web Services": Link("robot", _abb, ALL, driver="abb_rws", simulator="abb_rws"),
+    "FANUC RMI": Link("robot", _fanuc, ALL, silence_s=FANUC_SILENCE_S, driver="fanuc_rmi", simulator="fanuc_rmi"),
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),

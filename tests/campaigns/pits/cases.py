@@ -11,7 +11,7 @@ from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.campaigns.faults import links as f
-from tests.system import linuxcnc_rig, plc_robot_rig
+from tests.system import fanuc_rmi_rig, linuxcnc_rig, plc_robot_rig
 from tests.system.cell_rig import PATIENT, Daemon, Sections, with_faults, with_keys, write_small
 from tests.system.test_profiled_cell import ACTUATOR, with_section
 
@@ -83,6 +83,10 @@ def _demo(write: Callable[[Path], DemoFiles], folder: Path) -> DemoFiles:
     return files
 
 
+def _fanuc(folder: Path) -> DemoFiles:
+    return fanuc_rmi_rig.write_files(folder, **JOB)
+
+
 def _plc(kind: plc_robot_rig.Kind, folder: Path) -> DemoFiles:
     """With a controller that takes as long for a block as is planned: what it costs beyond that is another matter."""
     files = plc_robot_rig.write_files(folder, kind, 30.0, **JOB)
@@ -135,6 +139,7 @@ LINKS: Mapping[str, Link] = {
     "robot link": _robot(partial(_demo, f._small), ALL, "robot_link", "robot"),
     "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
     "ABB": _robot(partial(_demo, f._abb), ALL, "abb_rws", "abb_rws"),
+    "FANUC RMI": _robot(_fanuc, ALL, "fanuc_rmi", "fanuc_rmi"),
     "PLC robot, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from polishd.api import Robot
 from polishd.drivers.abb_rws.driver import AbbRobot
+from polishd.drivers.fanuc_rmi.driver import FanucRmi
 from polishd.drivers.linuxcnc.driver import LinuxCnc
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
@@ -20,12 +21,14 @@ from polishd.testing.suites.robot import RobotRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes import handover
 from tests.fakes.abb_rws import FakeAbb, rapid_move
+from tests.fakes.fanuc_rmi import FakeFanuc
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import TcpWire, dribbled
 from tests.kinds import kind
 
+TP = TestScope(block=lambda at: b"%4d:  WAIT   .02(sec) ;" % (at + 1))
 URSCRIPT = TestScope(block=urscript)
 RAPID = TestScope(block=rapid_move)
 PATIENT_ROBOT = RobotTimes(silence_s=1.0)
@@ -112,6 +115,33 @@ async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
 
 
 @asynccontextmanager
+async def fanuc_rmi(_: Path) -> AsyncIterator[RobotRig]:
+    """A FANUC controller over the Remote Motion Interface."""
+    async with _fanuc_rmi(FakeFanuc()) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def fanuc_rmi_dribbled(_: Path) -> AsyncIterator[RobotRig]:
+    """The same byte by byte, with blank lines between."""
+    fake = FakeFanuc()
+    fake.filter = lambda data: [b"\r\n", *dribbled(data)]
+    async with _fanuc_rmi(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _fanuc_rmi(fake: FakeFanuc) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = FanucRmi(Tcp("127.0.0.1", fake.port), PATIENT_ROBOT)
+    try:
+        yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, scope=TP)
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
 async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
     """handover at the controller's variables themselves."""
     fake = handover.FakePlc(folder)
@@ -176,5 +206,6 @@ ROBOTS = [
     *kind(linuxcnc, linuxcnc_dribbled),
     *kind(universal_robots, universal_robots_dribbled),
     *kind(abb_rws, abb_rws_polled, abb_rws_2),
+    *kind(fanuc_rmi, fanuc_rmi_dribbled),
     *kind(handover_direct, handover_opcua, handover_ads),
 ]

@@ -25,6 +25,7 @@ TIMES: dict[str, Any] = {
 OTHER = {
     ("cia402_actuator", "silence_s"): "a drive is asked four things for each reading",
     ("universal_robots", "silence_s"): "RTDE reports 10 times a second or more",
+    ("fanuc_rmi", "watchdog_s"): "it stops after the instructions that it holds",
     ("linuxcnc", "silence_s"): "linuxcncrsh answers at once",
     ("linuxcnc", "stop_s"): "it stops with its own acceleration",
 }

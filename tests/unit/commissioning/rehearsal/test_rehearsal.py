@@ -24,6 +24,7 @@ from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, SerialRobot
 from polishd.plugin_loader import Hooks, load_cell
+from polishd.sim_backends.common.runtime import read_config
 from tests.system.cell_rig import with_keys
 
 EXAMPLES = Path(__file__).resolve().parents[4] / "examples"
@@ -432,3 +433,14 @@ def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
 def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="--state and --artefact do not go with rehearse"):
         CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)
+
+
+def test_a_fanuc_controller_is_the_simulated_one_in_real_time(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(EXAMPLES / "fanuc_rmi", tmp_path / "fanuc_rmi"))
+    shutil.copy(EXAMPLES / "instrument.toml", tmp_path)
+    done = CliRunner().invoke(app, ["rehearse", str(folder / "cell.toml"), "--write-only"])
+    assert done.exit_code == 0, done.stderr
+    assert "in real time" in done.stderr + done.stdout
+    config = read_config(folder / "cell-rehearsal" / "sim.toml")
+    assert (config.robot.kind, config.plant.speed, config.robot.watchdog_s) == ("fanuc_rmi", 1.0, 60.0)
+    assert config.robot.z_mm[1] >= 60.0

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from polishd.daemon.cell.time_limits import TimeLimits, safe_within_s, stays_on, too_short
@@ -128,3 +129,27 @@ def test_what_an_actuator_does_without_power(unpowered: Any, lifts: bool, why: s
     found = stays_on(ActuatorTimes(unpowered=unpowered), RobotTimes(lifts=lifts))
     assert bool(found) is bool(why)
     assert why in found
+
+
+# a robot that holds few instructions
+
+EIGHT = replace(LIMITS, robot=RobotTimes(held_instructions=8, report_s=0.05))
+
+
+@pytest.mark.parametrize(("encoding", "points"), [("feed", 7), ("dwell", 3)])
+def test_the_instructions_beyond_the_one_under_way_last_until_the_tool_is_up(encoding: str, points: int) -> None:
+    needed_s = EIGHT.buffer_s + 0.05
+    time_s = np.full(20, needed_s / points)
+    enough, short = EIGHT.held_motion(encoding, time_s), EIGHT.held_motion(encoding, 0.99 * time_s)
+    assert enough is not None
+    assert short is not None
+    assert (enough.holds, short.holds) == (True, False)
+    assert short.key == "machine.least_point_s"
+    time_s[10] -= 0.1
+    worst = EIGHT.held_motion(encoding, time_s)
+    assert worst is not None
+    assert worst.seconds == pytest.approx(needed_s - 0.1, abs=1e-3), "the shortest of all stretches counts"
+
+
+def test_a_robot_that_holds_enough_has_no_such_limit() -> None:
+    assert LIMITS.held_motion("feed", np.full(20, 0.01)) is None

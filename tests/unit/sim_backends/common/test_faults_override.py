@@ -22,6 +22,7 @@ from polishd.sim_backends.plc_robot.device import ModbusServer
 from polishd.sim_backends.universal_robots import device as ur_device
 from polishd.sim_backends.universal_robots.controller import UrController
 from tests.fakes.handover import FakePlc
+from tests.unit.sim_backends.fanuc_rmi.test_controller import Client
 from tests.unit.sim_backends.plant.test_world import world
 from tests.unit.sim_backends.robot.test_controller import Bench
 from tests.unit.sim_backends.robot.test_motion import LINE, loaded
@@ -139,6 +140,27 @@ def test_a_plc_shows_its_feed_override_over_all_its_links(tmp_path: Path) -> Non
     at = list(plc_device.KINDS).index("feed_override") * plc_device.STRING_BYTES
     error, value = plc_device.AdsServer(plc)._read(plc_device.DATA, at, 8)
     assert (error, struct.unpack("<d", value)) == (plc_device.OK, (50.0,))
+
+
+def test_a_fanuc_controller_reports_its_override_and_stands_while_it_runs() -> None:
+    client = Client()
+    client.start()
+    client.move(50.0, 1, 10)
+    client.run(0.5)
+    motion = client.controller.motion
+    motion.set_pace(client.now_s, 0.5)
+    motion.reported_pace = 0.5
+    before = motion.pose[0]
+    client.run(1.0)
+    assert client.ask(Command="FRC_GetStatus")["Override"] == 50
+    assert motion.pose[0] - before == pytest.approx(5.0, abs=0.3)
+    motion.set_pace(client.now_s, 0.0)
+    motion.reported_pace = 1.0
+    place = motion.pose
+    client.run(1.0)
+    status = client.ask(Command="FRC_GetStatus")
+    assert (status["Override"], status["ProgramStatus"], motion.pose) == (100, 1, place)
+    assert client.answered() == []
 
 
 def ur(*faults: FaultSection) -> UrController:

@@ -1,0 +1,1 @@
+"""Driver of a FANUC controller with the Remote Motion Interface."""

@@ -1,0 +1,345 @@
+"""The Remote Motion Interface: a session, its commands one at a time, and the answers to executed instructions.
+
+``FRC_Connect`` on the first port returns the port of the session. Each message is a JSON object on a line that ends
+with CR LF. A command is answered at once, an instruction when it has been executed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from polishd.api import ByteStream, DeviceBusy, DeviceRefused, LinkError, ProtocolError, RobotTimes
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.background import Background, Ready, RequestQueue
+from polishd.drivers.transport.claims import claim_address
+from polishd.drivers.transport.streams import LineReader, connect_unclaimed, open_stream
+from polishd.util.address_claims import Claim
+
+MOST_OUTSTANDING = 8
+"""Instructions that the controller holds, the one under way among them."""
+LONGEST_ANSWER = 4096
+CONNECT_S = 1.0
+DISCONNECT_S = 0.3
+BUSY_S, BUSY_PAUSE_S = 1.0, 0.1
+"""A controller notices the end of a session a moment after its connection is closed."""
+IDLE_READ_S = 3600.0
+"""The reader has no time limit: the commands that are sent all the time have one."""
+FIRST_ERROR = 2556928
+ALREADY_CONNECTED, NOT_RUNNING, IN_HOLD = FIRST_ERROR + 26, FIRST_ERROR + 9, FIRST_ERROR + 24
+INVALID_STATE = FIRST_ERROR + 15
+PROGRAM_EXISTS = 7015
+_ERRORS = {
+    FIRST_ERROR + 2: "invalid user tool number",
+    FIRST_ERROR + 3: "invalid user frame number",
+    FIRST_ERROR + 6: "the TP program cannot be executed",
+    FIRST_ERROR + 7: "the servos are off",
+    FIRST_ERROR + 8: "the teach pendant is enabled",
+    NOT_RUNNING: "RMI is not running",
+    FIRST_ERROR + 10: "the TP program is not paused",
+    FIRST_ERROR + 11: "the TP program cannot be resumed",
+    FIRST_ERROR + 12: "the controller cannot be reset",
+    FIRST_ERROR + 13: "invalid RMI command",
+    INVALID_STATE: "the controller is in the wrong state",
+    FIRST_ERROR + 18: "invalid motion option",
+    FIRST_ERROR + 20: "invalid RMI instruction",
+    FIRST_ERROR + 21: "invalid value",
+    FIRST_ERROR + 23: "invalid position data",
+    IN_HOLD: "RMI is in the HOLD state",
+    ALREADY_CONNECTED: "another client is connected",
+    FIRST_ERROR + 29: "invalid sequence number",
+    FIRST_ERROR + 30: "invalid speed type",
+    FIRST_ERROR + 31: "invalid speed",
+    FIRST_ERROR + 32: "invalid termination type",
+    FIRST_ERROR + 33: "invalid termination value",
+    FIRST_ERROR + 36: "the target cannot be reached",
+    FIRST_ERROR + 43: "single-step mode is on",
+    PROGRAM_EXISTS: "the program RMI_MOVE is selected at the teach pendant",
+}
+RUNNING, PAUSED = 1, 2
+"""``ProgramStatus`` of RMI_MOVE."""
+
+
+def error_text(number: int) -> str:
+    """Return an ErrorID as ``RMIT-029, invalid sequence number (2556957)``."""
+    text = _ERRORS.get(number, "see the controller's manual")
+    code = f"RMIT-{number - FIRST_ERROR:03d}, " if 0 < number - FIRST_ERROR < 100 else ""
+    return f"{code}{text} ({number})"
+
+
+@dataclass(frozen=True, slots=True)
+class RmiStatus:
+    """Answer to ``FRC_GetStatus``."""
+
+    servo_ready: bool
+    pendant_enabled: bool
+    rmi_runs: bool
+    program: int
+    single_step: bool
+    next_sequence: int
+    override: float | None
+    """As a fraction; None: this controller version does not report it."""
+
+    @classmethod
+    def of(cls, answer: Mapping[str, Any]) -> RmiStatus:
+        """Parse an answer; KeyError, TypeError or ValueError if it is none."""
+        percent = answer.get("Override")
+        return cls(
+            bool(answer["ServoReady"]),
+            bool(answer["TPMode"]),
+            bool(answer["RMIMotionStatus"]),
+            int(answer["ProgramStatus"]),
+            bool(answer.get("SingleStepMode", 0)),
+            int(answer.get("NextSequenceID", 1)),
+            None if percent is None else float(percent) / 100.0,
+        )
+
+    def obstacle(self) -> str:
+        """Return why the controller would not run a program; empty if it would."""
+        if self.pendant_enabled:
+            return "the teach pendant is enabled (switch it off and the controller to AUTO)"
+        if not self.servo_ready:
+            return "the servos are not ready (release the emergency stop, reset the fault at the pendant)"
+        if self.single_step:
+            return "single-step mode is on (switch it off at the pendant)"
+        return ""
+
+
+@dataclass(frozen=True, slots=True)
+class RmiSnapshot:
+    """Status and pose of the controller at one moment."""
+
+    time_s: float
+    """Time of the request."""
+    status: RmiStatus
+    pose: tuple[float, ...]
+    """X, Y, Z in mm, W, P, R in deg."""
+    busy: bool
+    """The controller may hold instructions that it has not executed."""
+
+    @property
+    def runs(self) -> bool:
+        """It executes instructions."""
+        return self.busy and self.status.rmi_runs and self.status.program == RUNNING
+
+
+class RmiSession(Background):
+    """One session, from ``FRC_Connect`` to its end. It is never opened again; waiting calls get LinkError."""
+
+    def __init__(
+        self,
+        address: Tcp,
+        times: RobotTimes,
+        on_executed: Callable[[int, int], None] = lambda _sequence, _error: None,
+        on_fault: Callable[[str], None] = lambda _why: None,
+        on_credit: Callable[[], Awaitable[None]] | None = None,
+    ) -> None:
+        """``on_executed`` gets the sequence number and the ErrorID of each answered instruction.
+
+        ``on_credit`` is awaited afterwards, in a task of the session.
+        """
+        super().__init__(str(address))
+        self.firmware = ""
+        self.outstanding: deque[int] = deque()
+        """Sequence numbers of the instructions that were sent and are not answered."""
+        self._unknown_until_s = 0.0
+        """Until then it may hold instructions of an earlier session."""
+        self._address = address
+        self._silence_s, self._watchdog_s = times.silence_s, times.watchdog_s
+        self._on_executed, self._on_fault, self._on_credit = on_executed, on_fault, on_credit
+        self._has_credit = asyncio.Event()
+        self._queue = RequestQueue(self.name)
+        self._stream: ByteStream | None = None
+        self._claim = Claim()
+        self._expected = ""
+        self._answer: asyncio.Future[dict[str, Any]] | None = None
+
+    @property
+    def is_busy(self) -> bool:
+        """The controller may hold instructions that it has not executed."""
+        return bool(self.outstanding) or time.monotonic() < self._unknown_until_s
+
+    async def open(self) -> None:
+        """Connect. DeviceBusy while another client has the session."""
+        self._claim = await claim_address(self._address)
+        try:
+            port = await self._session_port()
+            self._stream = await open_stream(Tcp(self._address.host, port), CONNECT_S)
+            await self.start(self._run, CONNECT_S)
+            await self._queue.start()
+            status = await self.status()
+            if status.rmi_runs and status.program == RUNNING:
+                self._unknown_until_s = time.monotonic() + self._watchdog_s
+        except BaseException:
+            await self.close()
+            raise
+
+    async def close(self) -> None:
+        """Disconnect; idempotent. A session that holds no instructions is ended as the manual demands."""
+        stream, self._stream = self._stream, None
+        if stream is not None and self.alive and not self.is_busy:
+            with contextlib.suppress(LinkError, ProtocolError):  # it has ended already, or ends with the answer
+                await stream.write(_line({"Communication": "FRC_Disconnect"}))
+                await self.until(lambda: False, DISCONNECT_S)
+        await self._queue.stop()
+        await self.stop()
+        if stream is not None:
+            await stream.close()
+        self._claim.release()
+
+    async def command(
+        self, name: str, *, within_s: float | None = None, urgent: bool = False, allow: int = 0, **fields: Any
+    ) -> dict[str, Any]:
+        """Return the answer to a command. DeviceRefused for an ErrorID other than 0 and ``allow``."""
+        self.check()
+        limit_s = within_s or self._silence_s
+        answer = await self._queue.ask(lambda: self._exchange(name, fields, limit_s), urgent=urgent)
+        error = int(answer.get("ErrorID", 0))
+        if error not in (0, allow):
+            raise DeviceRefused(f"{self.name}: {name} was refused: {error_text(error)}")
+        return answer
+
+    async def status(self) -> RmiStatus:
+        """Return the present status. ProtocolError for an answer without its fields."""
+        answer = await self.command("FRC_GetStatus")
+        try:
+            return RmiStatus.of(answer)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ProtocolError(f"{self.name}: FRC_GetStatus was answered without {error}") from error
+
+    async def look(self) -> RmiSnapshot:
+        """Return status and pose."""
+        began_s = time.monotonic()
+        status = await self.status()
+        answer = await self.command("FRC_ReadCartesianPosition")
+        try:
+            position = answer["Position"]
+            pose = tuple(float(position[axis]) for axis in "XYZWPR")
+        except (KeyError, TypeError, ValueError) as error:
+            raise ProtocolError(f"{self.name}: FRC_ReadCartesianPosition was answered without {error}") from error
+        return RmiSnapshot(began_s, status, pose, self.is_busy)
+
+    async def send(self, sequence: int, fields: Mapping[str, Any]) -> None:
+        """Send an instruction, once. Its answer goes to ``on_executed``."""
+        self.check()
+        self.outstanding.append(sequence)
+        if self._stream is not None:
+            head = {"Instruction": fields["Instruction"], "SequenceID": sequence}
+            await self._stream.write(_line({**head, **fields}))
+
+    def forget(self) -> None:
+        """No instruction is outstanding any more: the controller has dropped them."""
+        self.outstanding.clear()
+        self._unknown_until_s = 0.0
+
+    async def _session_port(self) -> int:
+        """Return the port of the new session."""
+        deadline = time.monotonic() + BUSY_S
+        while True:
+            answer = await self._connect()
+            error = int(answer.get("ErrorID", 0))
+            if not error:
+                break
+            if error != ALREADY_CONNECTED:
+                raise DeviceRefused(f"{self.name}: FRC_Connect was refused: {error_text(error)}")
+            if time.monotonic() > deadline:
+                raise DeviceBusy(f"{self.name}: another client has the RMI session. End that client.")
+            await asyncio.sleep(BUSY_PAUSE_S)
+        self.firmware = f"RMI {answer.get('MajorVersion', '?')}.{answer.get('MinorVersion', '?')}"
+        port = answer.get("PortNumber")
+        if not isinstance(port, int) or not 0 < port < 65536:
+            raise ProtocolError(f"{self.name}: FRC_Connect was answered without PortNumber")
+        return port
+
+    async def _connect(self) -> dict[str, Any]:
+        stream = await connect_unclaimed(self._address, CONNECT_S)
+        try:
+            await stream.write(_line({"Communication": "FRC_Connect"}))
+            lines, line = LineReader(stream, LONGEST_ANSWER), b""
+            while not line.strip():
+                line = await lines.next(self._silence_s)
+            return self._parsed(line)
+        finally:
+            await stream.close()
+
+    async def _exchange(self, name: str, fields: Mapping[str, Any], within_s: float) -> dict[str, Any]:
+        stream = self._stream
+        if stream is None:
+            raise LinkError(f"{self.name}: is not open")
+        self._expected, self._answer = name, asyncio.get_running_loop().create_future()
+        await stream.write(_line({"Command": name, **fields}))
+        try:
+            return await self.result(self._answer, within_s)
+        except LinkError:
+            await stream.close()  # its late answer would be taken for the next one's
+            raise
+        finally:
+            self._expected = ""
+
+    async def _run(self, ready: Ready) -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._receive(ready))
+            group.create_task(self._use_credit())
+
+    async def _use_credit(self) -> None:
+        while True:
+            await self._has_credit.wait()
+            self._has_credit.clear()
+            if self._on_credit is not None:
+                await self._on_credit()
+
+    async def _receive(self, ready: Ready) -> None:
+        stream = self._stream
+        if stream is None:
+            raise LinkError(f"{self.name}: is not open")
+        lines = LineReader(stream, LONGEST_ANSWER)
+        ready()
+        while True:
+            line = await lines.next(IDLE_READ_S)
+            if line.strip():
+                self._take(self._parsed(line))
+                self.fire()
+
+    def _parsed(self, line: bytes) -> dict[str, Any]:
+        try:
+            message = json.loads(line)
+        except ValueError:
+            message = None
+        if not isinstance(message, dict):
+            raise ProtocolError(f"{self.name}: not a JSON object: {line[:60]!r}. Check the address.")
+        return message
+
+    def _take(self, message: dict[str, Any]) -> None:
+        if "Instruction" in message:
+            self._executed(message)
+        elif message.get("Command") == self._expected and self._answer is not None and not self._answer.done():
+            self._answer.set_result(message)
+        elif message.get("Communication") == "FRC_SystemFault":
+            self._on_fault("the controller reports a fault")
+        elif message.get("Communication") in ("FRC_Terminate", "FRC_Disconnect"):
+            raise LinkError(f"{self.name}: the controller ended the session")
+        elif self._expected and self._answer is not None and not self._answer.done() and "Command" not in message:
+            raise ProtocolError(f"{self.name}: {self._expected} was answered by {json.dumps(message)[:80]}")
+
+    def _executed(self, message: Mapping[str, Any]) -> None:
+        try:
+            sequence, error = int(message["SequenceID"]), int(message.get("ErrorID", 0))
+        except (KeyError, TypeError, ValueError) as problem:
+            raise ProtocolError(f"{self.name}: an answer to an instruction has no SequenceID") from problem
+        if sequence not in self.outstanding:
+            return  # of an earlier program
+        if not error and sequence != self.outstanding[0]:
+            raise ProtocolError(f"{self.name}: instruction {sequence} was executed before {self.outstanding[0]}")
+        self.outstanding.remove(sequence)
+        self._on_executed(sequence, error)
+        self._has_credit.set()
+
+
+def _line(message: Mapping[str, Any]) -> bytes:
+    return json.dumps(message, separators=(",", ":")).encode("ascii") + b"\r\n"

@@ -1,0 +1,1 @@
+"""A simulated FANUC controller with the Remote Motion Interface."""

@@ -1,0 +1,100 @@
+"""The whole simulated cell on a FANUC controller with RMI: safe whatever happens, and to its tolerance."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from tests.commissioned import forged
+from tests.patience import SOON_S
+from tests.system.cell_rig import Daemon, events, summary
+from tests.system.fanuc_rmi_rig import dwell_cell
+from tests.system.sim_rig import alive, wait_for
+from tests.system.test_daemon import require_safe_order
+from tests.system.test_rehearsal import rehearsed
+
+pytestmark = [pytest.mark.system, pytest.mark.full]
+
+DEVICE, SAFETY = 5, 7
+ONE_PASS = {"tolerance_nm": 0.01, "max_cycles": 1}
+EARLY = 20
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def press(files: DemoFiles, number: signal.Signals) -> None:
+    os.kill(int(json.loads((files.sim_dir / "pids.json").read_text())["robot"]), number)
+
+
+Happens = Callable[[DemoFiles], object]
+STANDS: dict[str, tuple[Happens, str]] = {
+    "emergency stop": (lambda files: press(files, signal.SIGUSR1), "fault|servos"),
+    "pause": (lambda files: press(files, signal.SIGUSR2), "paused at the controller"),
+    "manual": (lambda files: press(files, signal.SIGALRM), "fault|teach pendant"),
+    "power cut": (lambda files: press(files, signal.SIGKILL), "127.0.0.1"),
+}
+OVERRIDES = {
+    "override 50 %": {"what": "override", "percent": 50.0, "contact_s": 5.0},
+    "override 0 %": {"what": "override", "percent": 0.0, "contact_s": 5.0},
+    "stands, reports running": {"what": "stand", "contact_s": 5.0},
+    "unplugged": {"what": "unplug", "contact_s": 5.0, "duration_s": 60.0},
+}
+
+
+@pytest.mark.parametrize("fault", STANDS)
+def test_contact_is_left_at_once_and_the_daemon_says_why(tmp_path: Path, fault: str) -> None:
+    happens, said = STANDS[fault]
+    with dwell_cell(tmp_path / "cell", **ONE_PASS) as files:
+        with Daemon(files, "--no-hold") as daemon:
+            daemon.wait_in_contact(EARLY)
+            happens(files)
+            assert daemon.wait() in (DEVICE, SAFETY), daemon.output.read_text()
+            assert any(one in daemon.output.read_text() for one in said.split("|"))
+        wait_for(lambda: events(files, "tool_landed", "tool_lifted")[-1]["event"] == "tool_lifted", "the tool lifted")
+        log = events(files)
+        last = {event["event"]: k for k, event in enumerate(log)}
+        assert last["tool_landed"] < last["force_zero"] < last["tool_lifted"]
+        assert "motion_started" not in [event["event"] for event in log[last["tool_lifted"] :]]
+
+
+@pytest.mark.parametrize("fault", OVERRIDES)
+def test_slow_standing_and_lost_robots_are_left(tmp_path: Path, fault: str) -> None:
+    with dwell_cell(tmp_path / "cell", OVERRIDES[fault], **ONE_PASS) as files:
+        with Daemon(files, "--no-hold") as daemon:
+            assert daemon.wait() in (DEVICE, SAFETY), daemon.output.read_text()
+        wait_for(lambda: events(files, "tool_landed", "tool_lifted")[-1]["event"] == "tool_lifted", "the tool lifted")
+        log = [event["event"] for event in events(files)]
+        assert "force_on" not in log[len(log) - 1 - log[::-1].index("tool_lifted") :]
+
+
+def test_a_daemon_that_dies_leaves_a_robot_that_ends_what_it_holds_and_moves_no_more(tmp_path: Path) -> None:
+    with dwell_cell(tmp_path / "cell", **ONE_PASS) as files:
+        with Daemon(files) as daemon:
+            daemon.wait_in_contact(EARLY)
+            daemon.end(signal.SIGKILL)
+        wait_for(lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "rest")
+        require_safe_order(events(files))
+        before = len(events(files))
+        with Daemon(files) as daemon:
+            daemon.wait_for_state("held")
+            assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
+            daemon.end()
+        assert not alive(daemon.process.pid)
+
+
+@pytest.mark.timeout(6 * SOON_S)
+def test_the_example_is_rehearsed_to_its_tolerance(tmp_path: Path) -> None:
+    """In real time: a pass takes two and a half minutes."""
+    shutil.copytree(EXAMPLES / "fanuc_rmi", tmp_path / "fanuc_rmi")
+    forged(Path(shutil.copy(EXAMPLES / "instrument.toml", tmp_path)))
+    with rehearsed(tmp_path / "fanuc_rmi" / "cell.toml") as files:
+        with Daemon(files, "--no-hold") as daemon:
+            assert daemon.process.wait(4 * SOON_S) == 0, daemon.output.read_text()
+        require_safe_order(events(files))
+    assert summary(files)["outcome"] == "in_tolerance"

@@ -1,0 +1,227 @@
+"""The stream on the simulated controller: credits, records, faults of the controller, and what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, ExecutedBlock, LinkError, Plan, RobotTimes
+from polishd.drivers.fanuc_rmi.driver import FanucRmi
+from polishd.drivers.fanuc_rmi.protocol import MOST_OUTSTANDING
+from polishd.drivers.transport.address import Tcp
+from tests.fakes.fanuc_rmi import FakeFanuc
+from tests.programs import plan_of
+from tests.unit.drivers.fanuc_rmi.test_program import program
+
+TIMES = RobotTimes(silence_s=1.0, held_instructions=MOST_OUTSTANDING)
+WAITS = [f"WAIT {0.05:.2f}(sec) ;"] * 40
+
+
+@pytest.fixture
+async def fake() -> AsyncIterator[FakeFanuc]:
+    found = await FakeFanuc().start()
+    yield found
+    await found.close()
+
+
+@pytest.fixture
+async def robot(fake: FakeFanuc) -> AsyncIterator[FanucRmi]:
+    device = FanucRmi(Tcp("127.0.0.1", fake.port), TIMES)
+    await device.open()
+    yield device
+    await device.close()
+
+
+async def loaded(robot: FanucRmi, *body: str, timed_s: float | None = None) -> Plan:
+    plan = plan_of(program(*body))
+    if timed_s is not None:
+        block = np.array([at for at, one in enumerate(plan.segments) if b"WAIT" in one.text])
+        timed = replace(plan.program, block=block, time_s=np.full(len(block), timed_s), encoding="dwell")
+        plan = replace(plan, program=timed, expected_time_s=np.full(len(block), timed_s))
+    await robot.prepare(plan)
+    asyncio.get_running_loop().create_task(_sent(robot, plan))
+    return plan
+
+
+async def _sent(robot: FanucRmi, plan: Plan) -> None:
+    try:
+        await robot.send(plan.segments)
+    except (DeviceRefused, LinkError):
+        return
+
+
+async def executed(robot: FanucRmi, count: int = 10**6) -> list[ExecutedBlock]:
+    found = []
+    async for one in robot.executed():
+        found.append(one)
+        if len(found) >= count:
+            break
+    return found
+
+
+async def until(condition: Any) -> None:
+    while not condition():  # noqa: ASYNC110 -- the controller sends no event
+        await asyncio.sleep(0.005)
+
+
+async def test_at_most_eight_instructions_are_outstanding_and_all_are_executed(
+    fake: FakeFanuc, robot: FanucRmi
+) -> None:
+    plan = await loaded(robot, *WAITS)
+    await asyncio.sleep(0.1)
+    assert fake.held == 0, "nothing is sent before it may run"
+    assert robot.buffer_s == pytest.approx(MOST_OUTSTANDING * 0.05), "what the controller would hold"
+    await robot.resume()
+    found = await executed(robot)
+    assert fake.most_held == MOST_OUTSTANDING
+    assert [one.seq for one in found] == list(range(len(plan.segments)))
+    waited = [one.end_s - one.start_s for one in found if b"WAIT" in plan.segments[one.seq].text]
+    assert sum(waited) == pytest.approx(2.0, abs=0.3)
+    assert sum(one.end_s - one.start_s for one in found) == pytest.approx(sum(waited)), "other lines take no time"
+
+
+async def test_a_link_is_not_given_more_motion_than_the_watchdog_time(fake: FakeFanuc) -> None:
+    device = FanucRmi(Tcp("127.0.0.1", fake.port), replace(TIMES, watchdog_s=2.0))
+    await device.open()
+    await loaded(device, *["WAIT 0.90(sec) ;"] * 6)
+    await device.resume()
+    await until(lambda: fake.held > 0)
+    await asyncio.sleep(0.1)
+    assert fake.held == 2
+    await device.make_safe()
+    plan = plan_of(program("WAIT 1.50(sec) ;"))
+    await device.prepare(plan)
+    with pytest.raises(DeviceRefused, match=r"takes 1.5 s; at most 1 s, half of robot.watchdog_s"):
+        await device.send(plan.segments)
+    await device.close()
+
+
+async def test_it_moves_as_the_program_says_and_stops_before_the_block(fake: FakeFanuc, robot: FanucRmi) -> None:
+    plan = await loaded(robot, *(f"L P[{number}] 50mm/sec FINE ;" for number in (1, 2, 3)))
+    stop = len(plan.segments) - next(
+        at for at, one in enumerate(reversed(plan.segments)) if one.text.strip().startswith(b"3:L")
+    )
+    await robot.resume(until=stop - 1)
+    await until(lambda: len(fake.controller.motion.executed) == 2)
+    await robot.hold()
+    assert fake.controller.motion.pose[:3] == pytest.approx((10.0, 0.0, 3.5))
+    assert (await robot.progress()).state == "held"
+    await robot.resume()
+    assert len(await executed(robot)) == len(plan.segments)
+    assert fake.controller.motion.pose[0] == pytest.approx(20.0)
+
+
+async def test_hold_pauses_within_a_wait_and_goes_on_with_its_rest(fake: FakeFanuc, robot: FanucRmi) -> None:
+    plan = await loaded(robot, "WAIT 0.60(sec) ;")
+    await robot.resume()
+    await until(lambda: fake.controller.motion.state == "running")
+    await robot.hold()
+    assert (await robot.status()).safe
+    count = len(fake.controller.motion.executed)
+    await asyncio.sleep(0.3)
+    assert len(fake.controller.motion.executed) == count
+    await robot.resume()
+    assert len(await executed(robot)) == len(plan.segments)
+
+
+@pytest.mark.parametrize(
+    ("button", "said"),
+    [("pause", "paused at the controller"), ("emergency stop", "servos|fault"), ("teach pendant", "pendant|fault")],
+)
+async def test_a_stop_at_the_controller_ends_the_program(
+    fake: FakeFanuc, robot: FanucRmi, button: str, said: str
+) -> None:
+    await loaded(robot, *["WAIT 0.50(sec) ;"] * 10)
+    await robot.resume()
+    await executed(robot, 5)
+    await asyncio.sleep(1.2)  # from then on a pause is another client's
+    fake.controller.press(button, time.monotonic())
+    with pytest.raises(DeviceFault, match=said):
+        await executed(robot)
+    with pytest.raises(DeviceRefused, match=r"over|pendant|servos"):
+        await robot.resume()
+
+
+@pytest.mark.parametrize(("button", "said"), [("emergency stop", "servos"), ("teach pendant", "teach pendant")])
+async def test_a_controller_in_a_wrong_mode_is_refused_before_anything_moves(
+    fake: FakeFanuc, robot: FanucRmi, button: str, said: str
+) -> None:
+    fake.controller.press(button, time.monotonic())
+    status = await robot.status()
+    assert not status.ready
+    assert said in status.detail
+    with pytest.raises(DeviceRefused, match=said):
+        await loaded(robot, *WAITS)
+
+
+async def test_a_refused_instruction_is_named_by_its_block_and_reset_by_the_next_program(
+    fake: FakeFanuc, robot: FanucRmi
+) -> None:
+    far = program("L P[1] 50mm/sec FINE ;", "L P[2] 50mm/sec FINE ;", x_mm=(0.0, 160.0))
+    plan = plan_of(far)
+    await robot.prepare(plan)
+    await robot.send(plan.segments)
+    await robot.resume()
+    with pytest.raises(DeviceFault, match="refuses block 5: RMIT-036, the target cannot be reached"):
+        await executed(robot)
+    assert fake.controller.in_hold
+    await loaded(robot, *WAITS[:3])
+    await robot.resume()
+    await executed(robot)
+    assert not fake.controller.in_hold
+
+
+async def test_the_override_is_reported_and_slows_the_motion(fake: FakeFanuc, robot: FanucRmi) -> None:
+    assert (await robot.progress()).override == 1.0
+    fake.controller.slider = 0.5
+    await until(lambda: robot._poller.last.status.override == 0.5)
+    assert (await robot.progress()).override == 0.5
+
+
+async def test_a_program_whose_link_was_lost_is_over_and_nothing_moves_again(fake: FakeFanuc, robot: FanucRmi) -> None:
+    await loaded(robot, *["WAIT 0.20(sec) ;"] * 30)
+    await robot.resume()
+    await until(lambda: len(fake.controller.motion.executed) >= 2)
+    fake.drop_session()
+    with pytest.raises(LinkError):
+        await executed(robot)
+    await until(lambda: fake.stands)
+    done = len(fake.controller.motion.executed)
+    assert done <= 2 + MOST_OUTSTANDING + 1, "what it held is all that it executes"
+    await robot.open()
+    assert fake.controller.program != 1, "RMI_MOVE has ended"
+    with pytest.raises(DeviceFault, match="link was lost"):
+        await executed(robot)
+    with pytest.raises(DeviceRefused, match="is over"):
+        await robot.resume()
+
+
+async def test_a_second_client_is_busy(fake: FakeFanuc, robot: FanucRmi) -> None:
+    with pytest.raises(DeviceBusy, match="another client"):
+        await FanucRmi(Tcp("127.0.0.1", fake.port), TIMES).open()
+
+
+async def test_buffer_is_the_planned_time_of_what_the_controller_holds(fake: FakeFanuc, robot: FanucRmi) -> None:
+    body = [line for number in range(12) for line in (f"L P[{1 + number % 2}] 50mm/sec FINE ;", "WAIT 0.30(sec) ;")]
+    await loaded(robot, *body, timed_s=0.5)
+    await until(lambda: robot.buffer_s > 0.0)
+    assert robot.buffer_s == pytest.approx(0.2 * 0.0 + 4 * 0.5, abs=0.3), "four points of 0.5 s in eight instructions"
+    await robot.resume()
+    await until(lambda: len(fake.controller.motion.executed) >= 6)
+    assert 3 * 0.5 - 0.1 <= robot.buffer_s <= 4 * 0.5
+
+
+async def test_messages_are_json_lines_that_end_with_cr_lf(fake: FakeFanuc, robot: FanucRmi) -> None:
+    await loaded(robot, *WAITS[:2])
+    await robot.resume()
+    await executed(robot)
+    assert all(line.endswith(b"\r\n") for line in fake.lines)
+    sequences = [found["SequenceID"] for line in fake.lines if "SequenceID" in (found := json.loads(line))]
+    assert sequences == [1, 2]
