@@ -29,11 +29,11 @@ from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.profile_device import build
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
+from polishd.drivers.transport.file_delivery import Folder
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
