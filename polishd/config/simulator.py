@@ -435,9 +435,10 @@ class Artefact(ConfigSection):
 class SimRobotSection(ConfigSection):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus"] = "link"
+    kind: Literal["link", "linuxcnc", "universal_robots", "kuka_kvp", "opcua", "ads", "modbus"] = "link"
     """``linuxcnc``: a real LinuxCNC, in real time, in a separate network (docs/protocols/linuxcnc.md). ``opcua``,
-    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md)."""
+    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md), as
+    ``kuka_kvp`` does (docs/protocols/kuka_kvp.md)."""
     port: Port = 28500
     """TCP port on loopback; 0: any that is free. RTDE's, with universal_robots; over ADS, which has one port only,
     28500 = 111 * 256 + 84 is the address 127.111.84.1. [1]"""

@@ -187,6 +187,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "robot_link": ("", "link"),
     "linuxcnc": ("", "linuxcnc"),
     "universal_robots": ("", "universal_robots"),
+    "kuka_kvp": ("", "kuka_kvp"),
     "plc_robot": ("", "opcua"),
     "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),
     "voice_coil_serial": ("serial", ""),
