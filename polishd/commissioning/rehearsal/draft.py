@@ -360,7 +360,12 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
     """Add the robot; raise ConfigError if no simulated controller reads the cell's program."""
     kind, address = str(draft.config.devices[device].type), f"tcp://{LOOPBACK}:{free_port()}"
     _require_language(draft, device)
-    add = {"linuxcnc": _linuxcnc, "universal_robots": _universal_robots, "plc_robot": _plc_robot}
+    add = {
+        "linuxcnc": _linuxcnc,
+        "universal_robots": _universal_robots,
+        "plc_robot": _plc_robot,
+        "kuka_kvp": _kuka_kvp,
+    }
     if simulated := is_simulated(draft, device, address=address):
         lay_address(draft, device, address)
     if kind in add:
@@ -411,6 +416,10 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
     }
     if options["first_register"] != FIRST_REGISTER:
         draft.instead(f"{device}.first_register", FIRST_REGISTER, "the simulated arm is watched at that register")
+
+
+def _kuka_kvp(draft: RehearsalDraft, device: str) -> None:
+    draft.laid[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
 
 
 def _plc_robot(draft: RehearsalDraft, device: str) -> None:

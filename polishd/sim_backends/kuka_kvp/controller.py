@@ -255,6 +255,7 @@ class KukaController:
             self._routines |= module.routines
             self.values |= module.data
         self._submit = self._body(self._routines["SPS"])
+        self._run(self._submit)
 
     def selecting(self, name: str, text: str) -> Iterator[None]:
         """Select a module, some lines of its text in each turn. ProgramError where it cannot be read."""

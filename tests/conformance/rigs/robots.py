@@ -18,6 +18,7 @@ from polishd.testing.device_rig import Rig, TestScope
 from polishd.testing.suites.robot import RobotRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes import handover
+from tests.fakes.kuka import FakeKuka, krl, kuka_robot
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.universal_robot import FakeController, urscript
@@ -25,6 +26,7 @@ from tests.fakes.wires import TcpWire, dribbled
 from tests.kinds import kind
 
 URSCRIPT = TestScope(block=urscript)
+KRL = TestScope(block=krl)
 PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 """A busy machine is silent for longer than most wires would be."""
 
@@ -109,6 +111,34 @@ async def _universal_robots(fake: FakeController) -> AsyncIterator[RobotRig]:
 
 
 @asynccontextmanager
+async def kuka_kvp(folder: Path) -> AsyncIterator[RobotRig]:
+    """A KUKA controller behind C3 Bridge."""
+    async with _kuka_kvp(FakeKuka(folder)) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def kuka_kvp_dribbled(folder: Path) -> AsyncIterator[RobotRig]:
+    """The same with answers byte by byte."""
+    fake = FakeKuka(folder)
+    fake.filter = dribbled
+    async with _kuka_kvp(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
+async def _kuka_kvp(fake: FakeKuka) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = kuka_robot(fake)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=KRL)
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
 async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
     """handover at the controller's variables themselves."""
     fake = handover.FakePlc(folder)
@@ -136,5 +166,6 @@ ROBOTS = [
     *kind(robot_tcp, robot_dribbled),
     *kind(linuxcnc, linuxcnc_dribbled),
     *kind(universal_robots, universal_robots_dribbled),
+    *kind(kuka_kvp, kuka_kvp_dribbled),
     *kind(handover_direct, handover_opcua, handover_ads),
 ]
