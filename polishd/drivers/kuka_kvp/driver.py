@@ -67,8 +67,17 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
         self._clock_s = self._changed_s = self._beaten_s = 0.0
 
     async def _connect(self) -> KvpLink:
+        link = await KvpLink.connect(self.address, self._silence_s)
+        try:
+            if not await link.text("@PROXY_PORT"):
+                raise DeviceRefused(
+                    f"{self.name}: KUKAVARPROXY starts and stops no program. Install C3 Bridge 1.2 or later."
+                )
+        except BaseException:
+            await link.close()
+            raise
         self._changed_s = time.monotonic()
-        return await KvpLink.connect(self.address, self._silence_s)
+        return link
 
     async def _disconnect(self, link: KvpLink) -> None:
         await link.close()
@@ -161,15 +170,7 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
     async def _clear(self) -> None:
         if why := self._link.last.obstacle():
             raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again.")
-        await self._require_c3()
         await self._stop()
-
-    async def _require_c3(self) -> None:
-        async with self._commands() as link:
-            if not await link.text("@PROXY_PORT"):
-                raise DeviceRefused(
-                    f"{self._name}: KUKAVARPROXY starts and stops no program. Install C3 Bridge 1.2 or later."
-                )
 
     def _track(self, plan: Plan, blocks: int) -> KrlProgramTracker:
         return KrlProgramTracker(plan, blocks)

@@ -138,7 +138,8 @@ class _Expression:
         if self._tokens[self._at + 1 : self._at + 2] == [("sign", ":")]:
             self._at += 2
         while True:
-            parts[self._next()[1].upper()] = self._binary(0)
+            name = self._next()[1].upper()
+            parts[name] = self._binary(0)
             if not self._takes(","):
                 break
         self._require("}")
