@@ -16,7 +16,7 @@ from tests.fakes.kuka import TIMES, FakeKuka, krl, kuka_robot
 from tests.programs import plan_of
 
 LINES = [krl(at) for at in range(40)]
-SLOW = [b"$VEL.CP=0.002", *LINES]
+SLOW = [b"$VEL.CP=0.001", *LINES]
 
 
 @pytest.fixture
