@@ -15,7 +15,7 @@ import time
 import tomllib
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import ExitStack, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,7 @@ import pytest
 from polishd.api import DeviceRefused, ExecutedBlock, ForceSample, LinkError, Robot, SpeedSample, SpindleTimes
 from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
+from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.modbus import Modbus
@@ -81,6 +82,7 @@ CELLS = {
     + f'[actuator]\nkind = "profile"\nbaud = 57600\nprofile = "{file_of("line_drive.toml")}"\n'
     + f'[spindle]\nkind = "profile_tcp"\nprofile = "{file_of("delta_ms300")}"\n',
     "universal_robots": BASE.replace("port = 0\n", f"port = 0\n{UNIVERSAL}"),
+    "kuka_kvp": BASE.replace("port = 0\n", 'port = 0\nkind = "kuka_kvp"\n'),
     "handover_modbus": BASE.replace("port = 0\n", 'port = 0\nkind = "modbus"\n'),
 }
 AT_REST = {
@@ -106,7 +108,7 @@ class Place:
         return f"{self.device}-{self.cell}"
 
 
-ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "handover_modbus")))
+ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "kuka_kvp", "handover_modbus")))
 ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
 LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
@@ -192,7 +194,7 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield known
 
 
-def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | PlcRobot:
+def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | KukaRobot | PlcRobot:
     """The driver of a cell's robot."""
     running = cells.get(place.cell)
     match place.cell:
@@ -201,6 +203,11 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
             addresses = Addresses.of(address.host, address.port, ports["dashboard_port"], ports["primary_port"])
             # its controller's clock is the simulated one: a busy machine is silent for seconds of that
             return UniversalRobot(addresses, Settings(UrRegisters(), 10 * PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
+        case "kuka_kvp":
+            # its watchdog counts the simulated time
+            times = replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False)
+            folder = Folder(running.state / "programs")
+            return KukaRobot(address, folder, "/R1/PROGRAM/", times, poll_s=0.005, load_s=10.0)
         case "handover_modbus":
             profile = load_controller_profile("plc-modbus", Path())
             make_link = partial(Modbus, address, profile.variables, profile.silence_s)
@@ -377,6 +384,9 @@ SLOW = [line.replace(b"F300", b"F60") for line in LINES]
 def slow(request: pytest.FixtureRequest) -> list[bytes]:
     """A program for the robot of this test, of blocks that last some tens of ms of the wall."""
     place: Place = request.node.callspec.params["robot"]
+    if place.cell == "kuka_kvp":
+        lines = [b"LIN {X %.2f,Y 0,Z 0,A 0,B 0,C 165}" % (0.4 * k) for k in range(58)]
+        return [b"$VEL.CP=0.001", *lines, b"WAIT SEC 0.2"]
     if place.cell != "universal_robots":
         return SLOW
     return [b"movel(p[%.4f, 0, 0, 0, 3.14159, 0], a=5, v=0.001)" % (4e-4 * k) for k in range(60)]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from tests.system import plc_robot_rig, universal_robots_rig
+from tests.system import kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
@@ -183,6 +183,12 @@ def _universal(folder: Path) -> DemoFiles:
     return files
 
 
+def _kuka(folder: Path) -> DemoFiles:
+    files = kuka_rig.write_files(folder, **ONE_PASS)
+    files.cell.write_text(files.cell.read_text().replace("silence_s = 3.0", f"silence_s = {SILENCE_S}"))
+    return files
+
+
 FORCE = {"sticks": {"what": "stick"}}
 DRIFT = {"drifts": {"what": "drift", "drift_n_s": 2.0}}
 CELL = {"halts": {"what": "halt"}, **DRIFT, "saturates": {"what": "saturate", "limit_n": 13.0}}
@@ -197,6 +203,7 @@ LINKS: Mapping[str, Link] = {
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),
+    "KUKA": Link("robot", _kuka, {**ALL, **REFUSES}, driver="kuka_kvp", simulator="kuka_kvp"),
     "actuator, Modbus RTU": Link("actuator", _small, {**ALL, **UNIT, **REFUSES, **FORCE}),
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),

@@ -134,6 +134,7 @@ ALL = {**MOTION, **SILENT}
 LINKS: Mapping[str, Link] = {
     "robot link": _robot(partial(_demo, f._small), ALL, "robot_link", "robot"),
     "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
+    "KUKA": _robot(partial(_demo, f._kuka), ALL, "kuka_kvp", "kuka_kvp"),
     "PLC robot, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),
