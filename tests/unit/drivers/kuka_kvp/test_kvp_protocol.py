@@ -18,6 +18,9 @@ from polishd.drivers.kuka_kvp.protocol import (
     encode_request,
     encode_texts,
 )
+from tests.vectors import vectors
+
+VECTORS = vectors("kuka_kvp")
 
 
 def test_requests_are_those_of_the_protocol_document() -> None:
@@ -30,7 +33,14 @@ def test_requests_are_those_of_the_protocol_document() -> None:
     reset = encode_request(0x028C, KvpMessage.CONTROL, encode_control(ProgramOrder.RESET))
     assert reset.hex() == "028c00040a010001"
     read = encode_request(48, KvpMessage.READ, encode_texts("$OV_PRO"))
-    assert read == struct.pack(">HHBH", 48, 10, 0, 7) + b"$OV_PRO"
+    assert read.hex() == VECTORS["read_request"]
+    start = encode_request(0x028C, KvpMessage.CONTROL, encode_control(ProgramOrder.START))
+    assert start.hex() == VECTORS["start_request"]
+
+
+def test_answers_of_the_page_are_read() -> None:
+    assert decode_answer(bytes.fromhex(VECTORS["read_answer"])) == (48, KvpAnswer(0, b"\0\003100", 1, True))
+    assert decode_answer(bytes.fromhex(VECTORS["start_answer"])) == (0x028C, KvpAnswer(10, b"\2", 1, True))
 
 
 def test_a_selection_names_the_module_and_forces_it() -> None:

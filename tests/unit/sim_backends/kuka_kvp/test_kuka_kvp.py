@@ -13,6 +13,7 @@ from polishd.model.errors import ProgramError
 from polishd.sim_backends.kuka_kvp.controller import KukaController, from_abc, kuka_path, to_abc
 from polishd.sim_backends.kuka_kvp.device import INSTALLED, MODULES, KvpClient
 from polishd.sim_backends.kuka_kvp.krl import compiled, read_krl, shown
+from tests.unit.sim_backends.vectors import vectors
 
 FRAME_S = 0.012
 OVERHEAD_S = 0.0
@@ -273,6 +274,15 @@ def test_samples_of_the_protocol_document_are_answered_as_there() -> None:
     assert found.program_override == 5
     start = bytes.fromhex("028c00040a020001")
     assert asked(found, start) == bytes.fromhex("028c00050a02000000")  # nothing is selected
+
+
+def test_vectors_of_the_page_are_answered_as_there() -> None:
+    page = vectors("kuka_kvp")
+    found = started("WAIT SEC 1")
+    assert asked(found, bytes.fromhex(page["read_request"])).hex() == page["read_answer"]
+    assert found.stop()
+    assert asked(found, bytes.fromhex(page["start_request"])).hex() == page["start_answer"]
+    assert found.state == "#P_ACTIVE"
 
 
 def test_an_unknown_variable_is_an_error_of_its_own() -> None:
