@@ -365,8 +365,8 @@ class KukaController:
 
     @property
     def active(self) -> bool:
-        """True while it moves, or while a WAIT SEC is under way."""
-        return self.moves or (self.waits and self.state == ACTIVE)
+        """True while it moves, or while a motion or a WAIT SEC is under way."""
+        return self.moves or (self.state == ACTIVE and (self.waits or not self.path.at_rest))
 
     def frame(self) -> None:
         """Run one interpolation cycle."""
