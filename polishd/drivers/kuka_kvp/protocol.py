@@ -13,7 +13,7 @@ from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.streams import open_stream
 from polishd.interfaces import ByteStream
 
-CONNECT_S = 1.0
+CONNECT_S = 2.0
 _HEAD = struct.Struct(">HHB")
 _FOOT = struct.Struct(">HB")
 MOST_BYTES = 1 << 15
