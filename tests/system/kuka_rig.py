@@ -28,7 +28,7 @@ SAFE_Z_MM = 20.0
 def write_files(out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **job: Any) -> DemoFiles:
     """The demo's files with a small part, that robot, and a program with a dwell at each point.
 
-    ``cut_s``: the robot's link is cut every so often.
+    ``cut_s``: the robot's link is cut after so long in contact.
     """
     files = write_small(out, **job)
     take(files, watchdog_s=watchdog_s, cut_s=cut_s)
@@ -50,7 +50,7 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0) -> N
     section = "\n".join(["[robot]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())])
     cell = without(files.cell.read_text(), "robot").replace('format = "rs274"', 'format = "krl"')
     files.cell.write_text(f"{cell}\n{section}\n")
-    cut = {"device": "robot", "what": "unplug", "every_s": cut_s}
+    cut = {"device": "robot", "what": "unplug", "contact_s": cut_s}
     files.sim.write_text(with_faults(with_keys(files.sim.read_text(), {}), *([cut] if cut_s else [])))
 
 

@@ -79,7 +79,7 @@ def test_contact_is_left_at_once_and_the_daemon_says_why(tmp_path: Path, fault: 
 
 
 def test_a_lost_link_is_left_before_motion_stops_and_nothing_moves_by_itself(tmp_path: Path) -> None:
-    with dwell_cell(tmp_path / "cell", speed=2.0, cut_s=12.0, **ONE_PASS) as files:
+    with dwell_cell(tmp_path / "cell", speed=2.0, cut_s=3.0, **ONE_PASS) as files:
         with Daemon(files, "--no-hold") as daemon:
             assert daemon.wait() in (DEVICE, SAFETY), daemon.output.read_text()
         assert events(files, "wire_cut")

@@ -36,6 +36,7 @@ from polishd.sim_backends.universal_robots.arm import (
     ToolPose,
     Triple,
     after,
+    angle,
     between,
     from_wrist,
     wrist_deg,
@@ -94,6 +95,11 @@ class KukaPath:
     def at_rest(self) -> bool:
         """Nothing is queued or under way."""
         return not self.queue and not self._lines
+
+    def stands_at(self, pose: ToolPose) -> bool:
+        """A motion to that pose would be none."""
+        near = math.dist(self.pose.xyz_mm, pose.xyz_mm) < SAME and angle(self.pose.turn, pose.turn) < SAME
+        return self.at_rest and near
 
     def clear(self) -> None:
         """Drop all motions where the tool stands."""
@@ -187,6 +193,8 @@ RAMP_S = 0.1
 LATE_S = 30.0
 """A process that was delayed catches up with at most this time."""
 STILL_MM_S = 1e-6
+SAME = 1e-6
+"""Distance, mm, and angle, rad, of two poses that are the same."""
 FREE, RESET, ACTIVE, STOP, END = "#P_FREE", "#P_RESET", "#P_ACTIVE", "#P_STOP", "#P_END"
 AUTOMATIC, EXTERNAL, MANUAL = "#AUT", "#EX", "#T1"
 SYSTEM: dict[str, KrlValue] = {
@@ -236,6 +244,8 @@ class KukaController:
     """... and the last value."""
     waits: bool = False
     """A WAIT SEC is under way."""
+    _acts: bool = False
+    """Motions and waits follow each other: none of its program's stops has come yet."""
     _pace: float = 1.0
     _module: KrlModule | None = None
     _program: Frames | None = None
@@ -272,7 +282,7 @@ class KukaController:
         if not able or self._module is None or self.state not in (RESET, STOP):
             return False
         if self._program is None:
-            self._triggers, self._program = [], self._main(self._module.routines[self.name])
+            self._triggers, self._acts, self._program = [], False, self._main(self._module.routines[self.name])
         self.state = ACTIVE
         return True
 
@@ -365,8 +375,8 @@ class KukaController:
 
     @property
     def active(self) -> bool:
-        """True while it moves, or while a motion or a WAIT SEC is under way."""
-        return self.moves or (self.state == ACTIVE and (self.waits or not self.path.at_rest))
+        """True while it moves, and from a program's motion or WAIT SEC to its next WAIT FOR or its end."""
+        return self.moves or (self.state == ACTIVE and self._acts)
 
     def frame(self) -> None:
         """Run one interpolation cycle."""
@@ -481,10 +491,16 @@ class KukaController:
             raise ProgramError("$VEL.CP and $ACC.CP must be above 0", statement.line)
         blend_mm = float(self.values["$APO"]["CDIS"]) if statement.approximates else 0.0
         triggers, self._triggers = self._triggers, []
+        end = ToolPose((x, y, z), from_abc(turn[0], turn[1], turn[2]))
+        if self.path.stands_at(end):
+            for one in triggers:
+                self._assign(one.target, one.value(self.read))
+            return
+        self._acts = True
         fires = [(one.at_end, lambda one=one: self._assign(one.target, one.value(self.read))) for one in triggers]
         self.path.queue.append(
             KukaMotion(
-                ToolPose((x, y, z), from_abc(turn[0], turn[1], turn[2])),
+                end,
                 min(speed, self.config.max_feed_mm_s),
                 accel,
                 blend_mm,
@@ -499,12 +515,13 @@ class KukaController:
             yield
         if statement.is_condition:
             while not statement.value(self.read):
+                self._acts = False
                 yield
             return
         seconds = float(statement.value(self.read))
         if seconds <= 0.0:
             return
-        self.waits = True
+        self.waits = self._acts = True
         for _ in range(math.ceil((seconds + self.path.overhead_s) / self.frame_s - 1e-9)):
             yield
         self.waits = False

@@ -298,3 +298,16 @@ def test_kukavarproxy_answers_its_two_messages_only() -> None:
     read = struct.pack(">HHBH", 7, 10, 0, 7) + b"$OV_PRO"
     assert asked(found, read, has_c3=False) == struct.pack(">HHBH", 7, 9, 0, 3) + b"100\0\1\1"
     assert asked(found, bytes.fromhex("028c00040a030001"), has_c3=False)[-3:] == b"\0\0\0"
+
+
+def test_it_is_in_motion_from_its_first_move_to_its_next_wait_for_without_a_gap() -> None:
+    body = "WAIT FOR N==1\n$VEL.CP=0.02\n" + "\n".join(f"{lin(float(at))}\nWAIT SEC 0.1" for at in range(1, 5))
+    found = started(body + "\nWAIT FOR N==2", overhead_s=0.02)
+    for _ in range(20):
+        found.frame()
+        assert not found.active  # PTP $AXIS_ACT is no motion
+    found.write("N", 1)
+    run(found, lambda: found.active)
+    assert run(found, lambda: not found.active) > 0.6
+    assert found.path.pose.xyz_mm[0] == pytest.approx(4.0)
+    assert found.state == "#P_ACTIVE"
