@@ -256,7 +256,7 @@ class KrlProgramTracker(ProgramTracker):
         self.holds = False
         """A stop was commanded, and is expected."""
         self._now_s = now_s
-        self._ordered_s = 0.0
+        self._ordered_s = self._waits_since_s = 0.0
         self._moves = np.zeros(blocks, dtype=bool)
         self._dwells = np.zeros(blocks, dtype=bool)
         self._dwell_s = np.zeros(blocks)
@@ -324,6 +324,8 @@ class KrlProgramTracker(ProgramTracker):
         elif not sample.active:
             self._fail("the program was stopped at the controller")
         elif sample.phase == KrlPhase.WAITS:
+            if before.phase != KrlPhase.WAITS:
+                self._waits_since_s = self._now_s()
             self._waits(sample)
         elif not self.holds:
             self.state, self.detail = "running", ""
@@ -336,11 +338,14 @@ class KrlProgramTracker(ProgramTracker):
             self._fail("the program was stopped at the controller")
 
     def _waits(self, sample: KukaSample) -> None:
-        """Handle waiting before a block: as commanded, or because the command has not arrived yet."""
+        """Handle waiting before a block: as commanded, or because the command has not arrived yet.
+
+        The watchdog reports the block up to a cycle later than the program reports that it waits.
+        """
         if sample.block >= self.until:
             self.state, self.detail = "held", ""
             self.held_at = sample.block if self.started and len(self) == sample.block else None
-        elif self._now_s() - self._ordered_s > START_S:
+        elif self._now_s() - max(self._ordered_s, self._waits_since_s) > START_S:
             self._fail(f"it does not begin block {sample.block}")
 
     def _fail(self, why: str) -> None:

@@ -211,6 +211,16 @@ def test_it_is_held_at_a_stop_and_does_not_begin_too_late() -> None:
     assert followed.see(0.6).detail == "it does not begin block 6"
 
 
+def test_a_wait_that_is_reported_before_its_block_is_no_fault() -> None:
+    followed = Followed().runs()
+    followed.tracker.until = 6
+    followed.now_s = 60.0  # the command was given long ago
+    followed.see(0.3, block=5, began_s=10.2, phase=KrlPhase.WAITS, robot_stopped=True)
+    assert followed.see(0.4, block=6, began_s=10.3).state != "fault"
+    tracker = followed.see(0.5)
+    assert (tracker.state, tracker.held_at) == ("held", 6)
+
+
 def test_the_end_needs_all_blocks() -> None:
     followed = Followed().runs()
     followed.see(0.3, block=8, began_s=10.2)
