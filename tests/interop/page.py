@@ -17,6 +17,7 @@ LINKS = (
     "SFTP",
     "CANopen",
     "RTDE",
+    "KUKAVARPROXY",
     "linuxcncrsh",
     "HTTP",
     "the page",

@@ -307,9 +307,17 @@ class KrlProgramTracker(ProgramTracker):
             high_s = max(self.clock_s - max(before.time_s - before.began_s, 0.0), self._low_s, self.began_s)
             self._advance(before.block, high_s)
         self._low_s = self.clock_s
-        ran = before.active and (before.phase == KrlPhase.RUNS or sample.block > before.block)
-        if ran:
+        if before.active and before.phase == KrlPhase.RUNS:
             self.clock_s += max(sample.time_s - before.time_s, 0.0)
+        elif before.active and sample.block > before.block:
+            self.clock_s += max(sample.time_s - self._left_stop_s(before, sample), 0.0)
+
+    def _left_stop_s(self, before: KukaSample, sample: KukaSample) -> float:
+        """Time at which it went on from a stop, of which only the begin of a later block is known."""
+        over = slice(before.block, sample.block)
+        if self._moves[over].any():
+            return before.time_s
+        return max(before.time_s, sample.began_s - float(self._dwell_s[over].sum()))
 
     def _judge(self, before: KukaSample, sample: KukaSample) -> None:
         """Set the state, and end the program if it cannot continue."""

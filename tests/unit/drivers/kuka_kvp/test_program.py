@@ -187,6 +187,21 @@ def test_no_time_passes_while_it_is_held() -> None:
     assert tracker[6].end_s - tracker[6].start_s == pytest.approx(0.5, abs=0.11)
 
 
+def test_a_dwell_right_behind_a_stop_lasts_as_long_as_programmed() -> None:
+    """When it went on is known only from the begin of the next block."""
+    followed = Followed().runs()
+    followed.tracker.until = 7
+    followed.see(0.3, block=7, began_s=10.2, phase=KrlPhase.WAITS, robot_stopped=True)
+    followed.see(0.4)
+    followed.tracker.until = 9
+    followed.tracker.go(10.4)
+    followed.see(9.0)
+    followed.see(9.5, block=9, began_s=19.4, phase=KrlPhase.RUNS)  # 0.25 s of dwell since 19.15
+    tracker = followed.see(9.6)
+    assert len(tracker) == 9
+    assert tracker[7].end_s - tracker[7].start_s == pytest.approx(0.25)
+
+
 def test_a_stop_at_the_pendant_is_a_fault_at_once() -> None:
     tracker = Followed().runs().see(0.2, state="#P_STOP")
     assert (tracker.state, tracker.detail) == ("fault", "the program was stopped at the controller")
