@@ -188,6 +188,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "linuxcnc": ("", "linuxcnc"),
     "universal_robots": ("", "universal_robots"),
     "fanuc_rmi": ("", "fanuc_rmi"),
+    "kuka_kvp": ("", "kuka_kvp"),
     "plc_robot": ("", "opcua"),
     "abb_rws": ("", "abb_rws"),
     "voice_coil_modbus": ("modbus_rtu", "modbus_tcp"),

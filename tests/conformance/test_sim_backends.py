@@ -29,13 +29,14 @@ from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.abb_rws.driver import AbbRobot
 from polishd.drivers.abb_rws.services import Account
+from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.profile_device import build
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import SerialLine, SlcanAddress, SocketcandAddress, Tcp, parse_address
+from polishd.drivers.transport.file_delivery import Folder
 from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
@@ -84,6 +85,7 @@ CELLS = {
     + f'[spindle]\nkind = "profile_tcp"\nprofile = "{file_of("delta_ms300")}"\n',
     "universal_robots": BASE.replace("port = 0\n", f"port = 0\n{UNIVERSAL}"),
     "abb_rws": BASE.replace("port = 0\n", 'port = 0\nkind = "abb_rws"\n'),
+    "kuka_kvp": BASE.replace("port = 0\n", 'port = 0\nkind = "kuka_kvp"\n'),
     "handover_modbus": BASE.replace("port = 0\n", 'port = 0\nkind = "modbus"\n'),
 }
 AT_REST = {
@@ -109,7 +111,9 @@ class Place:
         return f"{self.device}-{self.cell}"
 
 
-ROBOTS = kind(*(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "abb_rws", "handover_modbus")))
+ROBOTS = kind(
+    *(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "abb_rws", "kuka_kvp", "handover_modbus"))
+)
 ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
 LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
@@ -195,7 +199,7 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield known
 
 
-def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | PlcRobot:
+def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | KukaRobot | PlcRobot:
     """The driver of a cell's robot."""
     running = cells.get(place.cell)
     match place.cell:
@@ -207,6 +211,11 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
         case "abb_rws":  # the simulated clock, and with it the watchdog, runs 20 times as fast
             account = Account(address, "1.0", "Default User", "robotics")
             return AbbRobot(account, replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False))
+        case "kuka_kvp":
+            # its watchdog counts the simulated time
+            times = replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False)
+            folder = Folder(running.state / "programs")
+            return KukaRobot(address, folder, "/R1/PROGRAM/", times, poll_s=0.005, load_s=10.0)
         case "handover_modbus":
             profile = load_controller_profile("plc-modbus", Path())
             make_link = partial(Modbus, address, profile.variables, profile.silence_s)
@@ -386,6 +395,9 @@ def slow(request: pytest.FixtureRequest) -> list[bytes]:
     if place.cell == "abb_rws":
         target = b"[[%.1f,0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
         return [b"MoveL %b,v10\\T:=0.4,z1,tool0;" % (target % (0.4 * k)) for k in range(60)]
+    if place.cell == "kuka_kvp":
+        lines = [b"LIN {X %.2f,Y 0,Z 0,A 0,B 0,C 165}" % (0.4 * k) for k in range(58)]
+        return [b"$VEL.CP=0.001", *lines, b"WAIT SEC 0.2"]
     if place.cell != "universal_robots":
         return SLOW
     return [b"movel(p[%.4f, 0, 0, 0, 3.14159, 0], a=5, v=0.001)" % (4e-4 * k) for k in range(60)]

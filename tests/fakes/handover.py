@@ -19,9 +19,9 @@ from polishd.config.controller_profile import ControllerProfile, Value, load_con
 from polishd.config.simulator import SimRobotSection
 from polishd.drivers.plc_robot.ads import Ads
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.opcua import OpcUa
 from polishd.drivers.plc_robot.variables import VariableSnapshot, of_kind, watched
+from polishd.drivers.transport.file_delivery import Folder
 from polishd.sim_backends.plc_robot.controller import Plc
 from polishd.sim_backends.plc_robot.device import AMS_PORT, TCP_PORT, AdsServer
 from polishd.sim_backends.robot.motion import SimMotion

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from polishd.api import DeviceRefused
-from polishd.drivers.plc_robot.file_delivery import Delivery
+from polishd.drivers.transport.file_delivery import Delivery
 
 USER, PASSWORD = "robot", "s3cret"
 TEXT = b"G1 X1.25 Y-3.5 F60\n" * 50_000

@@ -18,6 +18,7 @@ LINKS = (
     "CANopen",
     "RTDE",
     "FANUC RMI",
+    "KUKAVARPROXY",
     "linuxcncrsh",
     "HTTP",
     "the page",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from polishd.drivers.plc_robot.file_delivery import RemoteFolder, Sftp
+from polishd.drivers.transport.file_delivery import RemoteFolder, Sftp
 from tests.interop.delivery import refuses, takes_programs
 from tests.interop.devices import free_port
 from tests.interop.peers import Peer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from polishd.drivers.plc_robot.file_delivery import Ftp, RemoteFolder
+from polishd.drivers.transport.file_delivery import Ftp, RemoteFolder
 from tests.interop.delivery import PASSWORD, USER, refuses, takes_programs
 from tests.interop.peers import Peer, program
 

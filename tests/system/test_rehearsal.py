@@ -17,7 +17,7 @@ from polishd.config.table_files import write_tif
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.process.removal import contact
 from tests.patience import SOON_S
-from tests.system import abb_rig, plc_robot_rig, universal_robots_rig
+from tests.system import abb_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import Daemon, events, summary, with_keys, write_small
 from tests.system.test_daemon import require_safe_order
 
@@ -64,6 +64,11 @@ def abb(out: Path) -> DemoFiles:
     return abb_rig.write_files(out, version="2.0", tolerance_nm=40.0, max_cycles=3)
 
 
+def kuka(out: Path) -> DemoFiles:
+    """A KUKA arm."""
+    return kuka_rig.write_files(out, tolerance_nm=40.0, max_cycles=3)
+
+
 @contextlib.contextmanager
 def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
     """The rehearsal of a cell, its simulator running."""
@@ -80,7 +85,7 @@ def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
             simulator.communicate(timeout=SOON_S)  # until all that it started is gone
 
 
-@pytest.mark.parametrize("make", [lens, loads_files, arm, abb])
+@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka])
 def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(tmp_path: Path, make: Maker) -> None:
     real = make(tmp_path / "cell")
     before = {path: path.read_bytes() for path in real.out.rglob("*") if path.is_file()}

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery
+from polishd.drivers.transport.file_delivery import Folder
 from polishd.model.events import RunFolderCompleted
 from polishd.plugin_loader import load_plugins
 from polishd.studies.cases import Case

@@ -368,6 +368,7 @@ def add_robot(draft: RehearsalDraft, device: str) -> None:
         "abb_rws": _abb_rws,
         "fanuc_rmi": _fanuc_rmi,
         "plc_robot": _plc_robot,
+        "kuka_kvp": _kuka_kvp,
     }
     if simulated := is_simulated(draft, device, address=address):
         lay_address(draft, device, address)
@@ -435,6 +436,10 @@ def _abb_rws(draft: RehearsalDraft, device: str) -> None:
 
 def _fanuc_rmi(draft: RehearsalDraft, device: str) -> None:
     draft.notes.append(f"{device}: in real time, because answers to instructions carry no clock of the controller")
+
+
+def _kuka_kvp(draft: RehearsalDraft, device: str) -> None:
+    draft.laid[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
 
 
 def _plc_robot(draft: RehearsalDraft, device: str) -> None:

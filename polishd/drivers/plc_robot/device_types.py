@@ -13,11 +13,11 @@ from polishd.config.controller_profile import ControllerProfile, load_controller
 from polishd.config.fields import ConfigSection
 from polishd.drivers.plc_robot.ads import Ads
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Delivery, Folder, Ftp, RemoteFolder, Sftp
 from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Variables
 from polishd.drivers.transport.address import tcp_address
+from polishd.drivers.transport.file_delivery import Delivery, Folder, Ftp, RemoteFolder, Sftp
 from polishd.util.extras import require_extra
 from polishd.util.files import SecretPlace, require_private
 

@@ -18,7 +18,6 @@ from polishd.api import (
     RobotTimes,
 )
 from polishd.config.controller_profile import CommandVariable, ControllerProfile, Value, Variable
-from polishd.drivers.plc_robot.file_delivery import Delivery
 from polishd.drivers.plc_robot.program_tracker import (
     MORE_S,
     ControllerReport,
@@ -30,6 +29,7 @@ from polishd.drivers.plc_robot.program_tracker import (
 )
 from polishd.drivers.plc_robot.variables import Variables
 from polishd.drivers.transport.background import PeriodicTimer
+from polishd.drivers.transport.file_delivery import Delivery
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
 from polishd.drivers.transport.program_tracker import STANDS, START_S, PollingConnection
 

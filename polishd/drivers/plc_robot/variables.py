@@ -12,7 +12,7 @@ from typing import Protocol
 
 from polishd.api import DeviceIdentity, DeviceRefused, LinkError, ProtocolError
 from polishd.config.controller_profile import Kind, Value, Variable, VariablesTable
-from polishd.drivers.plc_robot.file_delivery import Delivery
+from polishd.drivers.transport.file_delivery import Delivery
 from polishd.util.wire_recording import LinkTap, tap
 
 ORDERS = ("start", "hold", "reset", "load", "program", "heartbeat")

@@ -95,6 +95,10 @@ def _ads_refused(frame: bytes) -> bytes:
     return frame[:30] + struct.pack("<I", ADS_BUSY) + frame[34:] if len(frame) >= 38 else b""
 
 
+def _kvp_refused(frame: bytes) -> bytes:
+    return frame[:-3] + bytes(3) if len(frame) >= 8 else b""
+
+
 def _abort(identifier: int, data: bytes) -> bytes:
     """Replace the data of an SDO answer by an abort; empty for any other frame."""
     answers = 0x580 < identifier < 0x600 and len(data) == 8
@@ -148,6 +152,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "robot_link": Protocol(_sized(">I", 4, 12), exception=_robot_refused),
     "opcua": Protocol(_sized("<I", 4, 0)),
     "ads": Protocol(_sized("<I", 2, 6), exception=_ads_refused),
+    "kvp": Protocol(_sized(">H", 2, 4), exception=_kvp_refused),
     "rtde": Protocol(_sized(">H", 0, 0)),
     "dashboard": Protocol(_ended(b"\n")),
     "primary": Protocol(),

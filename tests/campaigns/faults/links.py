@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from tests.system import abb_rig, fanuc_rmi_rig, plc_robot_rig, universal_robots_rig
+from tests.system import abb_rig, fanuc_rmi_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
@@ -190,6 +190,12 @@ def _abb(folder: Path) -> DemoFiles:
     return files
 
 
+def _kuka(folder: Path) -> DemoFiles:
+    files = kuka_rig.write_files(folder, **ONE_PASS)
+    files.cell.write_text(files.cell.read_text().replace("silence_s = 3.0", f"silence_s = {SILENCE_S}"))
+    return files
+
+
 def _fanuc(folder: Path) -> DemoFiles:
     return fanuc_rmi_rig.write_files(folder, **ONE_PASS)
 
@@ -210,6 +216,7 @@ LINKS: Mapping[str, Link] = {
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),
+    "KUKA": Link("robot", _kuka, {**ALL, **REFUSES}, driver="kuka_kvp", simulator="kuka_kvp"),
     "actuator, Modbus RTU": Link("actuator", _small, {**ALL, **UNIT, **REFUSES, **FORCE}),
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),

@@ -140,6 +140,7 @@ LINKS: Mapping[str, Link] = {
     "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
     "ABB": _robot(partial(_demo, f._abb), ALL, "abb_rws", "abb_rws"),
     "FANUC RMI": _robot(_fanuc, ALL, "fanuc_rmi", "fanuc_rmi"),
+    "KUKA": _robot(partial(_demo, f._kuka), ALL, "kuka_kvp", "kuka_kvp"),
     "PLC robot, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),

@@ -22,6 +22,7 @@ from tests.conformance.rigs.wired import on_wire
 from tests.fakes import handover
 from tests.fakes.abb_rws import FakeAbb, rapid_move
 from tests.fakes.fanuc_rmi import FakeFanuc
+from tests.fakes.kuka import FakeKuka, krl, kuka_robot
 from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.universal_robot import FakeController, urscript
@@ -31,6 +32,7 @@ from tests.kinds import kind
 TP = TestScope(block=lambda at: b"%4d:  WAIT   .02(sec) ;" % (at + 1))
 URSCRIPT = TestScope(block=urscript)
 RAPID = TestScope(block=rapid_move)
+KRL = TestScope(block=krl)
 PATIENT_ROBOT = RobotTimes(silence_s=1.0)
 """A busy machine is silent for longer than most wires would be."""
 
@@ -122,6 +124,13 @@ async def fanuc_rmi(_: Path) -> AsyncIterator[RobotRig]:
 
 
 @asynccontextmanager
+async def kuka_kvp(folder: Path) -> AsyncIterator[RobotRig]:
+    """A KUKA controller behind C3 Bridge."""
+    async with _kuka_kvp(FakeKuka(folder)) as rig:
+        yield rig
+
+
+@asynccontextmanager
 async def fanuc_rmi_dribbled(_: Path) -> AsyncIterator[RobotRig]:
     """The same byte by byte, with blank lines between."""
     fake = FakeFanuc()
@@ -131,11 +140,32 @@ async def fanuc_rmi_dribbled(_: Path) -> AsyncIterator[RobotRig]:
 
 
 @asynccontextmanager
+async def kuka_kvp_dribbled(folder: Path) -> AsyncIterator[RobotRig]:
+    """The same with answers byte by byte."""
+    fake = FakeKuka(folder)
+    fake.filter = dribbled
+    async with _kuka_kvp(fake) as rig:
+        yield rig
+
+
+@asynccontextmanager
 async def _fanuc_rmi(fake: FakeFanuc) -> AsyncIterator[RobotRig]:
     await fake.start()
     device = FanucRmi(Tcp("127.0.0.1", fake.port), PATIENT_ROBOT)
     try:
         yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, scope=TP)
+    finally:
+        await device.close()
+        await fake.close()
+
+
+@asynccontextmanager
+async def _kuka_kvp(fake: FakeKuka) -> AsyncIterator[RobotRig]:
+    await fake.start()
+    device = kuka_robot(fake)
+    try:
+        mute = lambda: setattr(fake, "silent", True)  # noqa: E731
+        yield Rig(device, fake.cut, mute, lambda: fake.stands, whole_file=True, scope=KRL)
     finally:
         await device.close()
         await fake.close()
@@ -207,5 +237,6 @@ ROBOTS = [
     *kind(universal_robots, universal_robots_dribbled),
     *kind(abb_rws, abb_rws_polled, abb_rws_2),
     *kind(fanuc_rmi, fanuc_rmi_dribbled),
+    *kind(kuka_kvp, kuka_kvp_dribbled),
     *kind(handover_direct, handover_opcua, handover_ads),
 ]

@@ -32,6 +32,7 @@ LINE_DRIVE = Path(__file__).resolve().parents[3] / "examples" / "line_drive.toml
 GOOD: list[tuple[str, dict[str, Any], type[Any]]] = [
     ("robot_link", {"address": "tcp://127.0.0.1:28500"}, Robot),
     ("universal_robots", {"address": "tcp://10.0.0.2:30004"}, Robot),
+    ("kuka_kvp", {"address": "tcp://10.0.0.2:7000", "delivery": "folder:r1"}, Robot),
     ("universal_robots", {"address": "tcp://ur:30004", "rate_hz": 500.0, "first_register": 30}, Robot),
     ("abb_rws", {"address": "tcp://10.0.0.3:80"}, Robot),
     ("abb_rws", {"address": "tcp://irc:443", "version": "2.0", "progress": "polling", "user": "Admin"}, Robot),
@@ -58,6 +59,8 @@ BAD_OPTIONS: list[tuple[str, dict[str, Any]]] = [
     ("robot_link", {"address": "tcp://a:1", "adress": "tcp://a:1"}),
     ("universal_robots", {"address": "tcp://a:1", "rate_hz": 1000.0}),
     ("universal_robots", {"address": "tcp://a:1", "first_register": 44}),
+    ("kuka_kvp", {"address": "tcp://a:1"}),
+    ("kuka_kvp", {"address": "tcp://a:1", "delivery": "folder:r1", "poll_ms": 1.0}),
     ("universal_robots", {"address": "tcp://a:1", "tool_z": "up"}),
     ("universal_robots", {"address": "tcp://a:1", "dashboard_port": 0}),
     ("abb_rws", {"address": "tcp://a:1", "version": "3.0"}),

@@ -207,6 +207,17 @@ def test_an_abb_controller(tmp_path: Path) -> None:
     assert "127.0.0.1" in other["robot.address"]
 
 
+def test_a_kuka_controller_reads_its_modules_from_the_simulators_folder(tmp_path: Path) -> None:
+    text = robot(
+        'type = "kuka_kvp"\naddress = "tcp://10.0.0.2:7000"\ndelivery = "folder:/mnt/r1/Program"\nwatchdog_s = 9.0'
+    )
+    draft = made(tmp_path, text.replace('"rs274"', '"krl"'))
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.robot.watchdog_s, sim.plant.speed) == ("kuka_kvp", 9.0, 4.0)
+    assert other["robot.delivery"] == "folder:sim/programs"
+    assert other["robot.address"] == f"tcp://127.0.0.1:{sim.robot.port}"
+
+
 @pytest.mark.full
 def test_linuxcnc_is_a_real_one_in_real_time(tmp_path: Path) -> None:
     draft = made(tmp_path, robot('type = "linuxcnc"\naddress = "tcp://10.0.0.2:5007"\nprogram_dir = "/mnt/cnc"'))

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from polishd.api import ConfigError, LinkError, ProtocolError
 from polishd.config.controller_profile import Variable, load_controller_profile
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Folder
 from polishd.drivers.plc_robot.modbus import Modbus, place, spans
 from polishd.drivers.transport.address import Tcp
+from polishd.drivers.transport.file_delivery import Folder
 from polishd.sim_backends.plc_robot.device import ModbusServer
 from tests.fakes.handover import FakePlc, cycling, serving
 from tests.programs import plan_of

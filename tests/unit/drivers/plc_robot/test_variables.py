@@ -10,8 +10,8 @@ import pytest
 
 from polishd.api import DeviceRefused, ExecutedBlock, LinkError, Plan
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.file_delivery import Delivery, Folder
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery
+from polishd.drivers.transport.file_delivery import Delivery, Folder
 from polishd.model.errors import ConfigError
 from polishd.testing.replay import RecordedController, Replayed, replayed, replayed_controller
 from polishd.util.wire_recording import (

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol
 
-from polishd.api import DeviceRefused
 from polishd.drivers.transport.background import cancellable
+from polishd.model.errors import DeviceRefused
 from polishd.util.files import write_atomic
 
 if TYPE_CHECKING:

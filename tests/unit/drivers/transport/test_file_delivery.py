@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceRefused
-from polishd.drivers.plc_robot.file_delivery import Folder, Ftp, RemoteFolder, Sftp
+from polishd.drivers.transport.file_delivery import Folder, Ftp, RemoteFolder, Sftp
 
 TEXT = b"G1 X1\n" * 20_000
 USER, PASSWORD = "robot", "s3cret"

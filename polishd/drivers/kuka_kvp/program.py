@@ -1,0 +1,371 @@
+"""KRL module for the controller: the plan's lines with triggers that report the block, and waits where it may stop.
+
+The lines themselves are unchanged (docs/protocols/kuka_kvp.md).
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from polishd.api import DeviceRefused, Plan, ProtocolError
+from polishd.drivers.transport.program_tracker import ProgramFile, ProgramTracker, time_shares
+
+LONGEST_LINE = 4096
+
+_MOVE = re.compile(r"(S?)(?:LIN|PTP|CIRC)\s", re.IGNORECASE)
+_DWELL = re.compile(r"WAIT\s+SEC\s+([0-9.eE+-]+)", re.IGNORECASE)
+_WAIT = re.compile(r"WAIT\b", re.IGNORECASE)
+_FRAME = re.compile(r"(?:GLOBAL\s+)?DEF\s+\w+\s*\(\s*\)|END|&.*|INI|DEFDAT\s.*|ENDDAT", re.IGNORECASE)
+_DEF = re.compile(r"(?:GLOBAL\s+)?DEF\s", re.IGNORECASE)
+_DECLARES = re.compile(
+    r"(?:DECL|EXT|EXTFCT|INT|REAL|BOOL|CHAR|E6POS|E6AXIS|POS|FRAME|AXIS)\s|(?:GLOBAL\s+)?INTERRUPT\s+DECL\s",
+    re.IGNORECASE,
+)
+_OTHER = re.compile(r"[$A-Za-z_][$\w.\[\],]*\s*=|BAS\s*\(|INTERRUPT\s+ON\s", re.IGNORECASE)
+"""Lines that take no time: assignments, and calls of the system's own set-up."""
+
+
+@dataclass(frozen=True, slots=True)
+class KrlLine:
+    """One line of the plan."""
+
+    text: bytes
+    moves: bool = False
+    dwell_s: float | None = None
+    """Waiting time, s; None for a line that does not wait."""
+    is_spline: bool = False
+    declares: bool = False
+    frame: bool = False
+    """Whether the line is structure of the file (``DEF``, ``END``, a header) that is not run."""
+
+
+def krl_lines(lines: Sequence[bytes]) -> list[KrlLine]:
+    """Classify each line. DeviceRefused for what cannot be tracked: loops, branches, several routines."""
+    found = [_line_of(text, seq) for seq, text in enumerate(lines)]
+    if sum(_DEF.match(_code(line.text)) is not None for line in found) > 1:
+        raise DeviceRefused("the program has several routines, which cannot be followed. Post it as one routine.")
+    if not any(line.moves or line.dwell_s for line in found):
+        raise DeviceRefused("no line of the program moves or waits in KRL. Check [program] format.")
+    return found
+
+
+def _line_of(text: bytes, seq: int) -> KrlLine:
+    code = _code(text)
+    if match := _MOVE.match(code):
+        return KrlLine(text, moves=True, is_spline=bool(match[1]))
+    if match := _DWELL.fullmatch(code):
+        try:
+            return KrlLine(text, dwell_s=float(match[1]))
+        except ValueError:
+            raise DeviceRefused(f"block {seq}: {match[1]} is no time in seconds") from None
+    if not code or _FRAME.fullmatch(code):
+        return KrlLine(text, frame=bool(code))
+    if _DECLARES.match(code):
+        return KrlLine(text, declares=True)
+    if _OTHER.match(code) and not _WAIT.match(code):
+        return KrlLine(text)
+    raise DeviceRefused(
+        f"block {seq}: {code[:40]!r} cannot be followed. "
+        "Post the program as one routine of moves, waits and assignments."
+    )
+
+
+def _code(text: bytes) -> str:
+    return text.decode("latin-1").partition(";")[0].strip()
+
+
+class KrlPhase(IntEnum):
+    """``POLISHD_PHASE``."""
+
+    NONE = 0
+    WAITS = 1
+    RUNS = 2
+    DONE = 3
+
+
+NAME = "POLISHD"
+_HEAD = """&ACCESS RV
+DEF {name}( )
+;Written by polishd: the program of the plan, with what reports its progress.
+{declarations}BAS(#INITMOV,0)
+POLISHD_TOKEN=0
+POLISHD_BLOCK=0
+POLISHD_PHASE=1
+PTP $AXIS_ACT
+WAIT SEC 0
+WAIT FOR POLISHD_SEEN==0
+POLISHD_TOKEN={token}
+"""
+_GATE = """WAIT SEC 0
+POLISHD_BLOCK={seq}
+POLISHD_PHASE=1
+WAIT FOR (POLISHD_GO=={token}) AND (POLISHD_UNTIL>{seq})
+POLISHD_PHASE=2
+"""
+_TAIL = """WAIT SEC 0
+POLISHD_BLOCK={blocks}
+POLISHD_PHASE=3
+END
+"""
+_TRIGGERS = {
+    False: b"TRIGGER WHEN DISTANCE=0 DELAY=0 DO POLISHD_BLOCK=%d",
+    True: b"TRIGGER WHEN PATH=0 ONSTART DELAY=0 DO POLISHD_BLOCK=%d",
+}
+"""Reports of the block in motion, before a motion and before a spline motion."""
+
+
+class KrlProgram(ProgramFile):
+    """The module with the plan's lines, and a wait before its first line and before each stop."""
+
+    def __init__(self, blocks: Sequence[KrlLine], stops: Iterable[int], token: int) -> None:
+        self.blocks, self.token = len(blocks), token
+        self.stops = tuple(sorted({stop for stop in stops if 0 < stop < self.blocks}))
+        self.inserted, self.pauses = [], {}
+        declarations = b"".join(line.text.strip() + b"\n" for line in blocks if line.declares).decode("latin-1")
+        head = _HEAD.format(name=NAME, declarations=declarations, token=token).encode("latin-1")
+        lines = [head.removesuffix(b"\n")]
+        for seq, line in enumerate(blocks):
+            if seq == 0 or seq in self.stops:
+                lines.append(_GATE.format(seq=seq, token=token).encode().removesuffix(b"\n"))
+            if line.moves:
+                lines.append(_TRIGGERS[line.is_spline] % seq)
+            elif line.dwell_s is not None:
+                lines += [b"WAIT SEC 0", b"POLISHD_BLOCK=%d" % seq]
+            if not (line.frame or line.declares):
+                lines.append(line.text)
+        self.text = b"\n".join([*lines, _TAIL.format(blocks=self.blocks).encode()])
+        self.lines = tuple(self.text.split(b"\n"))
+
+
+# Snapshots of the controller.
+
+ACTIVE, STOPPED = "#P_ACTIVE", "#P_STOP"
+SYSTEM = ("$PRO_STATE1", "$MODE_OP", "$OV_PRO", "$PERI_RDY", "$STOPMESS", "$ROB_STOPPED")
+OWN = ("POLISHD_TOKEN", "POLISHD_PHASE", "POLISHD_SEEN", "POLISHD_BEGAN", "POLISHD_CLOCK", "POLISHD_SESSION")
+READ_NAMES = (*SYSTEM, *OWN)
+MODES = {"#T1": "T1", "#T2": "T2"}
+AUTOMATIC = ("#AUT", "#EX", "#EXT")
+
+
+@dataclass(frozen=True, slots=True)
+class KukaSample:
+    """State of the controller at one reading. Times are on the timer of the watchdog, s."""
+
+    state: str
+    """``$PRO_STATE1``."""
+    mode: str
+    override: float
+    """``$OV_PRO`` as a fraction."""
+    drives_ready: bool
+    stop_message: bool
+    robot_stopped: bool
+    token: int
+    """Token of the program that reported last."""
+    phase: int
+    block: int
+    """Its present block, and ..."""
+    began_s: float
+    """... when the watchdog saw it begin."""
+    time_s: float
+    session: int
+    """Start of the watchdog."""
+    is_watched: bool = True
+    """The watchdog runs: its clock does."""
+
+    @classmethod
+    def of(cls, values: Mapping[str, str], *, is_watched: bool = True) -> KukaSample:
+        """Parse the values. ProtocolError if one has another type."""
+        return cls(
+            values["$PRO_STATE1"],
+            values["$MODE_OP"],
+            _number(values, "$OV_PRO") / 100.0,
+            _flag(values, "$PERI_RDY"),
+            _flag(values, "$STOPMESS"),
+            _flag(values, "$ROB_STOPPED"),
+            _number(values, "POLISHD_TOKEN"),
+            _number(values, "POLISHD_PHASE"),
+            _number(values, "POLISHD_SEEN"),
+            _number(values, "POLISHD_BEGAN") / 1e3,
+            _number(values, "POLISHD_CLOCK") / 1e3,
+            _number(values, "POLISHD_SESSION"),
+            is_watched,
+        )
+
+    @property
+    def active(self) -> bool:
+        """Whether a program runs, or waits in a line."""
+        return self.state == ACTIVE
+
+    @property
+    def plays(self) -> bool:
+        """Whether a program runs, or the robot moves. A program of polishd that waits at a stop does not."""
+        return not self.robot_stopped or (self.active and self.phase != KrlPhase.WAITS)
+
+    def obstacle(self) -> str:
+        """Return why the controller would not run a program as written; empty if it would."""
+        if self.mode not in AUTOMATIC:
+            return f"it is in mode {MODES.get(self.mode, self.mode)} (turn it to automatic at the pendant)"
+        if self.stop_message:
+            return "a stop message is active (release the emergency stop and acknowledge the messages)"
+        if not self.drives_ready:
+            return "its drives are off (switch them on at the pendant)"
+        if self.override < 1.0:
+            return f"its program override is at {100.0 * self.override:.5g} % (set it to 100 %)"
+        if not self.is_watched:
+            return "its watchdog does not run (start the submit interpreter with polishd_watch)"
+        return ""
+
+
+def _number(values: Mapping[str, str], name: str) -> int:
+    try:
+        return int(values[name])
+    except ValueError:
+        raise ProtocolError(f"{name}: {values[name][:40]!r} is no whole number") from None
+
+
+def _flag(values: Mapping[str, str], name: str) -> bool:
+    if values[name] not in ("TRUE", "FALSE"):
+        raise ProtocolError(f"{name}: {values[name][:40]!r} is neither TRUE nor FALSE")
+    return values[name] == "TRUE"
+
+
+START_S = 5.0
+"""Time that may pass with standstill after a command, on our clock."""
+
+
+class KrlProgramTracker(ProgramTracker):
+    """Tracker of one program from its load to its end.
+
+    The watchdog reports the block in motion and when it saw it begin, to one of its cycles. A block counts only after
+    a second sample that does not contradict the first, so that one damaged number counts no block.
+    """
+
+    def __init__(self, plan: Plan, blocks: int, now_s: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(plan, blocks)
+        self.token = 0
+        self.live = False
+        """Whether the module waits or runs on the controller, or is stopped within its lines."""
+        self.until = 0
+        """Blocks below this one may begin."""
+        self.holds = False
+        """A stop was commanded, and is expected."""
+        self._now_s = now_s
+        self._ordered_s = self._waits_since_s = 0.0
+        self._moves = np.zeros(blocks, dtype=bool)
+        self._dwells = np.zeros(blocks, dtype=bool)
+        self._dwell_s = np.zeros(blocks)
+        self._low_s = 0.0
+        """Process time of the sample before the last."""
+        self._last: KukaSample | None = None
+
+    def sent(self, file: KrlProgram, lines: Sequence[KrlLine]) -> None:
+        """Record that the module was delivered; it waits before its first line."""
+        self.file, self.token, self.until, self.live, self._last = file, file.token, 0, False, None
+        self._moves = np.array([line.moves for line in lines], dtype=bool)
+        self._dwells = np.array([line.dwell_s is not None for line in lines], dtype=bool)
+        self._dwell_s = np.array([line.dwell_s or 0.0 for line in lines])
+
+    def go(self, time_s: float, detail: str = "") -> None:
+        """Begin to run, or continue, up to ``until``."""
+        super().go(time_s, detail)
+        self._ordered_s, self.holds = self._now_s(), False
+
+    def drop(self, reason: str) -> None:
+        """End the program: it will not be continued."""
+        super().drop(reason)
+        self.live = False
+
+    def forget(self) -> None:
+        """Track the module no more: it will be stopped and deselected."""
+        self.token, self.live = 0, False
+
+    def update(self, sample: KukaSample) -> None:
+        """Process a sample. ProtocolError if it is impossible."""
+        if not self.token or self.ended:
+            return
+        if sample.token != self.token:
+            if self.live:
+                self._fail("the controller runs another program, or has restarted")
+            return
+        before, self._last = self._last, sample
+        self.live = True
+        if before is not None:
+            self._book(before, sample)
+        if not self.ended:
+            self._judge(before or sample, sample)
+
+    def _book(self, before: KukaSample, sample: KukaSample) -> None:
+        if not before.block <= sample.block <= self.blocks:
+            raise ProtocolError(f"the robot reports block {sample.block} of {self.blocks}, after block {before.block}")
+        if before.block > len(self):
+            high_s = max(self.clock_s - max(before.time_s - before.began_s, 0.0), self._low_s, self.began_s)
+            self._advance(before.block, high_s)
+        self._low_s = self.clock_s
+        if before.active and before.phase == KrlPhase.RUNS:
+            self.clock_s += max(sample.time_s - before.time_s, 0.0)
+        elif before.active and sample.block > before.block:
+            self.clock_s += max(sample.time_s - self._left_stop_s(before, sample), 0.0)
+
+    def _left_stop_s(self, before: KukaSample, sample: KukaSample) -> float:
+        """Time at which it went on from a stop, of which only the begin of a later block is known."""
+        over = slice(before.block, sample.block)
+        if self._moves[over].any():
+            return before.time_s
+        return max(before.time_s, sample.began_s - float(self._dwell_s[over].sum()))
+
+    def _judge(self, before: KukaSample, sample: KukaSample) -> None:
+        """Set the state, and end the program if it cannot continue."""
+        if sample.phase == KrlPhase.DONE:
+            if len(self) == self.blocks:
+                self.state, self.detail, self.live = "done", "", False
+            return
+        if why := sample.obstacle():
+            self._fail(why)
+        elif sample.state == STOPPED:
+            self._stopped(before)
+        elif not sample.active:
+            self._fail("the program was stopped at the controller")
+        elif sample.phase == KrlPhase.WAITS:
+            if before.phase != KrlPhase.WAITS:
+                self._waits_since_s = self._now_s()
+            self._waits(sample)
+        elif not self.holds:
+            self.state, self.detail = "running", ""
+
+    def _stopped(self, before: KukaSample) -> None:
+        """Handle a stop: as commanded, not yet started again, or by the operator, who leaves the tool on the part."""
+        if self.holds:
+            self.state, self.detail = "held", ""
+        elif before.active or self._now_s() - self._ordered_s > START_S:
+            self._fail("the program was stopped at the controller")
+
+    def _waits(self, sample: KukaSample) -> None:
+        """Handle waiting before a block: as commanded, or because the command has not arrived yet.
+
+        The watchdog reports the block up to a cycle later than the program reports that it waits.
+        """
+        if sample.block >= self.until:
+            self.state, self.detail = "held", ""
+            self.held_at = sample.block if self.started and len(self) == sample.block else None
+        elif self._now_s() - max(self._ordered_s, self._waits_since_s) > START_S:
+            self._fail(f"it does not begin block {sample.block}")
+
+    def _fail(self, why: str) -> None:
+        self.state, self.detail, self.live = "fault", why, False
+
+    def _advance(self, to: int, high_s: float) -> None:
+        """Record all blocks below ``to`` as executed: dwells get their programmed time, moves the rest, others none."""
+        first = len(self)
+        moves, dwells, asked_s = self._moves[first:to], self._dwells[first:to], self._dwell_s[first:to]
+        if not (moves | dwells).any():
+            self.stretch(np.zeros(to - first), high_s=self.began_s)
+            return
+        rest = moves if moves.any() or asked_s.any() else dwells
+        took_s = high_s - self.began_s
+        self.stretch(time_shares(took_s, asked_s, float(asked_s.sum()), rest), high_s=high_s)
