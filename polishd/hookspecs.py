@@ -39,6 +39,7 @@ from polishd.process.dwell.problem import DwellProblem
 from polishd.process.identification import removal_fit
 from polishd.process.metrology.conditioning import drop_implausible
 from polishd.process.removal.effect import Effect
+from polishd.process.removal.ripple import ActingSpots
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
 API_VERSION = 1
@@ -243,6 +244,8 @@ class RemovalAnswer:
     """(n,) for "pointwise": ``effect`` is the static one, and the solved dwell is divided by this."""
     transfer: SpotTransferFunction | None = None
     """Transfer function of the spot, which limits the correctable surface errors; None: unknown."""
+    acting: ActingSpots | None = None
+    """Spots along the path as they act on a dwell in the machine, for the forecast of ripple; None: no forecast."""
 
     def removal_nm(self, time_s: FloatArray) -> FloatArray:
         """Return the modeled removal, (ny, nx) nm, of (n,) seconds in the machine."""

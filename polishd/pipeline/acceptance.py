@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from polishd.model.errors import ConfigError
 from polishd.model.instrument import UnmeasuredTerms
 from polishd.model.program import Plan
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.model.tolerance import LineResult
+from polishd.model.tolerance import NORMS, LineResult, ToleranceLine
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse, MeasureResult
 from polishd.process.identification.findings import Forecast, forecast
@@ -26,6 +27,7 @@ from polishd.process.metrology.uncertainty import (
     required_references,
     true_rms_bound,
 )
+from polishd.process.removal.ripple import ActingSpots, Ripple, ripple_of
 
 MOST_SAMPLES = 20_000
 """Of a map, for its bound: with so many samples the square of the RMS is known to 1 %."""
@@ -142,8 +144,13 @@ SMOOTHED = 0.03
 """Share of the mean square that averaging over cells may remove from periods of ten cells, which a spot corrects."""
 
 
-def forecast_of(recipe: Recipe, measured: MeasureResult, plan: Plan, believed: EstimatesInUse) -> Forecast:
-    """Return the forecast of a plan for that surface with those estimates."""
+def forecast_of(
+    recipe: Recipe, measured: MeasureResult, plan: Plan, believed: EstimatesInUse, acting: ActingSpots | None
+) -> Forecast:
+    """Return the forecast of a plan for that surface with those estimates.
+
+    ``acting``: spots along the path, for the ripple of its lines; None: the removal model knows none.
+    """
     mask, alignment = measured.metric_mask, recipe.part.alignment
     maps = (measured.height_nm, plan.predicted_removal_nm)
     now, removal = (remove_terms(one, mask, alignment)[mask] for one in maps)
@@ -156,8 +163,44 @@ def forecast_of(recipe: Recipe, measured: MeasureResult, plan: Plan, believed: E
         unexplained=believed.unexplained,
         noise_nm=_finer_noise_nm(recipe, measured),
         finer_nm=_finer_nm(recipe, measured),
-        ripple=believed.ripple,
+        known_ripple=believed.ripple,
+        ripple=None if acting is None else ripple_of(acting, plan.expected_time_s, measured.grid, mask),
+        sample_mm=None if measured.map_grid is None else measured.map_grid.pitch_mm,
     )
+
+
+HALF = 0.5
+"""Share of a line's limit from which the ripple of a path is worth a note."""
+
+
+def ripple_notes(lines: Sequence[ToleranceLine], ripple: Ripple) -> list[str]:
+    """Describe the ripple of a plan, and each tolerance line of which it alone takes more than half."""
+    if not ripple.lines:
+        return []
+    off = f"{ripple.rms_high_nm:.2f} nm with a spot whose radius is off by {100 * ripple.radius_error:g} %"
+    found = [f"the path leaves a ripple of {ripple.rms_nm:.2f} nm RMS ({ripple.words}), {off}"]
+    for line in lines:
+        own = ripple_in_line(line, ripple)
+        if own is not None and own > HALF * line.limit:
+            found.append(
+                f"that ripple alone is {own:.3g} {line.unit} of the {line.limit:g} {line.unit} of {line.what}: use a "
+                "path with a smaller line distance, or two passes at an angle"
+            )
+    return found
+
+
+def ripple_in_line(line: ToleranceLine, ripple: Ripple) -> float | None:
+    """Return a tolerance line's figure of the ripple alone, as high as it may be; None for other figures than RMS."""
+    inside = [
+        one
+        for one in ripple.lines
+        if one.period_mm > line.above_mm and (line.below_mm is None or one.period_mm < line.below_mm)
+    ]
+    if line.figure == "slope_rms":  # nm / mm = urad
+        return float(np.sqrt(sum((2 * np.pi / one.period_mm * one.rms_high_nm) ** 2 for one in inside)))
+    if line.figure in NORMS:
+        return float(np.sqrt(sum(one.rms_high_nm**2 for one in inside)))
+    return None
 
 
 def noise_nm(recipe: Recipe, measured: MeasureResult) -> float:

@@ -30,6 +30,7 @@ from polishd.process.identification.findings import UNEXPLAINED, Forecast
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.metrology.conditioning import Masks
 from polishd.process.metrology.resampling import Registration
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple
 
 # What a record is made of, arrays and facts, and both as the bytes of a file.
 
@@ -377,6 +378,16 @@ class PlanResult:
         )
 
     @property
+    def ripple(self) -> Ripple:
+        """Ripple that the pass adds; empty: unknown."""
+        return NO_RIPPLE if self.forecast is None else self.forecast.ripple
+
+    @property
+    def predicted_rms_nm(self) -> float:
+        """RMS expected after the pass: of the process grid, and of the ripple that its cells average away."""
+        return float(np.hypot(self.certificate.predicted_rms_nm, self.ripple.finer_nm))
+
+    @property
     def kept(self) -> WarmStart:
         """Warm start for the next solve."""
         return WarmStart(self.time_s, self.state)
@@ -384,7 +395,7 @@ class PlanResult:
     def facts(self) -> dict[str, Any]:
         """Facts of the pass for the journal."""
         certificate = asdict(self.certificate)
-        total = {"predicted_rms_nm": certificate["predicted_rms_nm"], "dwell_s": float(self.expected_s.sum())}
+        total = {"predicted_rms_nm": self.predicted_rms_nm, "dwell_s": float(self.expected_s.sum())}
         expected = None if self.forecast is None else asdict(self.forecast)
         tool = {"tool": self.tool} if self.tool else {}
         return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
@@ -431,4 +442,5 @@ def figures(measured: Mapping[str, Any], planned: Mapping[str, Any] | None) -> d
         "system": measured.get("system", ""),
         **{key: None if planned is None else float(planned[key]) for key in PASS_FIGURES},
         **{f"expected_{end}_nm": forecast.get(f"{end}_nm") for end in ("low", "high")},
+        "ripple": forecast.get("ripple", {}).get("lines", []),
     }

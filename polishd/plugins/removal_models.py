@@ -44,7 +44,9 @@ from polishd.process.removal.contact import contact_on_curved_part, contact_radi
 from polishd.process.removal.convolution import are_on_nodes
 from polishd.process.removal.dynamic_tif import CorrectedSpot, lean_azimuth_rad, tif_at_point
 from polishd.process.removal.path_tif import SpotPath, levelled_axes
+from polishd.process.removal.ripple import ActingSpots
 from polishd.process.removal.tif import HertzSpot, Spot, hertz_spot, measured_spot
+from polishd.process.removal.tif_family import blocks_of
 from polishd.process.removal.transfer_function import spot_transfer_function
 from polishd.process.robot.compliance import depth_ratio, path_compliance
 
@@ -131,7 +133,15 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
         divide_by=spots.divide_by,
         notes=(*path.notes, *how),
         transfer=spot_transfer_function(spot, float(path.gamma.mean())) if path.gamma.size else None,
+        acting=_acting_spots(path.along, spots),
     )
+
+
+def _acting_spots(along: SpotPath, spots: CorrectedSpot) -> ActingSpots:
+    factor = spots.factor if spots.divide_by is None else spots.factor * spots.divide_by
+    curved = along.curved
+    bent = None if curved is None else np.column_stack([curved.wider, curved.askew])
+    return ActingSpots(along.spot, blocks_of(along.program, spots.depth_ratio, factor, bent))
 
 
 def _acting(request: RemovalRequest) -> tuple[ParameterAction, float]:

@@ -19,7 +19,7 @@ from polishd.model.events import PlanWritten
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.pipeline import disk_space, dwell_step, steps
-from polishd.pipeline.acceptance import forecast_of, reason_never_acceptable
+from polishd.pipeline.acceptance import forecast_of, reason_never_acceptable, ripple_notes
 from polishd.pipeline.build_recipe import make_recipes
 from polishd.pipeline.dwell_step import ToolProblem, require_certificate
 from polishd.pipeline.precheck import Covers, judged
@@ -53,6 +53,7 @@ class _Pass:
         said, misfit = judged(self.recipe, self.program, covers)
         found = [f"check will refuse: {said}{misfit}"] if misfit else []
         found += [*self.program.warnings, *steps.violations(self.recipe, self.plan), *self.solved.answer.notes]
+        found += ripple_notes(self.recipe.lines, self.planned.ripple)
         return list(dict.fromkeys([*found, *self.planned.certificate.notes]))  # the effect has its own note in both
 
     def row(self) -> dict[str, Any]:
@@ -109,7 +110,7 @@ def _passes(turns: Sequence[ToolProblem], measured: MeasureResult, hooks: Hooks)
         require_certificate(solved.dwell.certificate, recipe)
         plan = steps.rewrite(recipe, program, solved, program.name)
         vetoes += [f"  {_of_tool(recipe)}{veto}" for veto in hooks.check_plan(plan, recipe.envelope)]
-        expected = forecast_of(recipe, finds, plan, solved.believed)
+        expected = forecast_of(recipe, finds, plan, solved.believed, solved.answer.acting)
         planned = PlanResult.of(plan, solved, steps.in_part_frame(recipe, plan.program), expected)
         found.append(_Pass(recipe, program, finds, solved, plan, planned))
         finds = steps.expected_removal(recipe, finds, solved.dwell.residual_nm)
@@ -154,6 +155,7 @@ def _summary(recipe: Recipe, passes: Sequence[_Pass]) -> dict[str, Any]:
         **several,
         "cycles": [one.row() for one in passes],
         "certificate": asdict(passes[-1].planned.certificate),
+        "ripple": passes[-1].planned.ripple.facts(),
         "gamma": _range(np.concatenate([one.planned.gamma for one in passes])),
         "compliance_um_per_n": _range(np.concatenate([one.planned.compliance_um_per_n for one in passes])),
         "points": sum(one.planned.block.size for one in passes),

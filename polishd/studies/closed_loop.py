@@ -447,7 +447,7 @@ class _Job:
         vetoes = [*steps.violations(self.recipe, plan), *self.hooks.check_plan(plan, self.recipe.envelope)]
         if vetoes:
             raise PlanRefused("; ".join(vetoes))
-        expected = forecast_of(self.recipe, surface, plan, solved.believed)
+        expected = forecast_of(self.recipe, surface, plan, solved.believed, solved.answer.acting)
         return PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
 
     def _execute(self, plan: Plan) -> tuple[FloatArray, FloatArray]:

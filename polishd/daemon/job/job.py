@@ -281,7 +281,7 @@ class Job:
     async def plan(self, cycle: int, surface: MeasureResult, solved: SolveResult) -> Plan:
         """Return the rewritten program. Arrays for the next cycle go to the store, files to the run folder."""
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
-        expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed)
+        expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed, solved.answer.acting)
         planned = PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]

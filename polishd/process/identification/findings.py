@@ -15,6 +15,7 @@ import scipy
 from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, regress_signals, remove_plane
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
 # Forecast of the residual of a planned pass as a distribution, and the errors of earlier forecasts.
@@ -30,6 +31,8 @@ MODES = 12
 SURE_NOISE = 3.0
 """Least removal over noise to measure the unexplained share."""
 SAMPLES = 4000
+SIGMAS_OF_95 = 1.96
+"""Standard deviations of a normal distribution within which 95 % lie."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,10 @@ class Forecast:
     """Probability of the interval."""
     better: float
     """Probability that it is below the RMS before the pass."""
+    ripple: Ripple = NO_RIPPLE
+    """Ripple that the pass adds; the interval contains what the map's samples show of it."""
+    gain_nm: float | None = None
+    """RMS on the process grid before the pass less the RMS that the plan leaves there; None: unknown."""
 
     @property
     def words(self) -> str:
@@ -59,7 +66,9 @@ def forecast(
     unexplained: float,
     noise_nm: float = 0.0,
     finer_nm: float = 0.0,
-    ripple: float = 0.0,
+    known_ripple: float = 0.0,
+    ripple: Ripple | None = None,
+    sample_mm: float | None = None,
 ) -> Forecast:
     """Forecast the RMS after a pass.
 
@@ -71,7 +80,9 @@ def forecast(
         unexplained: RMS of the unexplained removal, relative to that.
         noise_nm: RMS of the next map's noise beyond that in ``now_nm``, in quadrature.
         finer_nm: RMS of the map's finer structure beyond ``now_nm`` and noise, which stays.
-        ripple: increase of that by a pass, relative to ``removed_nm``, as uncertain as ``unexplained``.
+        known_ripple: increase of that by earlier passes, relative to their removal, as uncertain as ``unexplained``.
+        ripple: forecast from the path and its spots; None: there is no forecast.
+        sample_mm: distance of the map's samples, which average over finer ripple; None: unknown, all of it counts.
     """
     rng = np.random.default_rng(0)  # reproducible
     left, removal = now_nm - removal_nm, removal_nm - removal_nm.mean()
@@ -84,11 +95,16 @@ def forecast(
     mixed = 2 * np.sqrt(by_rate * field / MODES) * rng.standard_normal(SAMPLES)
     after = np.sqrt(np.maximum(by_rate + field + mixed, 0.0))
     alike = rng.uniform(size=SAMPLES)  # 1: the same tracks add up; 0: independent
-    finer = finer_nm + ripple * removed_nm * alike * np.exp(WITHIN * rng.standard_normal(SAMPLES))
+    finer = finer_nm + known_ripple * removed_nm * alike * np.exp(WITHIN * rng.standard_normal(SAMPLES))
+    adds = NO_RIPPLE if ripple is None else ripple
+    nominal, high = (adds.shown_nm(sample_mm, high=high) for high in (False, True))
+    shown = nominal + max(high - nominal, 0.0) * np.abs(rng.standard_normal(SAMPLES)) / SIGMAS_OF_95
+    finer = np.maximum(finer, np.hypot(finer_nm, shown))
     seen = np.hypot(np.hypot(after, noise_nm), finer)
-    low, median, high = np.quantile(seen, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
+    low, median, high_nm = np.quantile(seen, [(1 - LEVEL) / 2, 0.5, (1 + LEVEL) / 2])
     better = float(np.mean(np.hypot(after, finer) < np.hypot(now_nm.std(), finer_nm)))
-    return Forecast(float(low), float(median), float(high), LEVEL, better)
+    gain_nm = float(now_nm.std()) - own**0.5
+    return Forecast(float(low), float(median), float(high_nm), LEVEL, better, adds, gain_nm)
 
 
 def unexplained_share(
@@ -143,7 +159,14 @@ def has_diverged(earlier_nm: Sequence[float], now_nm: float) -> bool:
 
 def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
     """Return a finding where the next pass will probably not improve the surface."""
-    if not limits.min_improvement or expected.better >= WORTH:
+    if not limits.min_improvement:
+        return None
+    adds_nm = expected.ripple.rms_nm
+    if expected.gain_nm is not None and expected.gain_nm < adds_nm:
+        gain = f"the next pass would gain {expected.gain_nm:.2f} nm RMS and add a ripple of {adds_nm:.2f} nm RMS"
+        todo = "it is not made. Use a path with a smaller line distance, or another tolerance"
+        return Finding("stall", f"{gain} ({expected.ripple.words}): {todo}", "job")
+    if expected.better >= WORTH:
         return None
     chance = f"with a chance of {100 * expected.better:.0f} % that it is less than now"
     todo = "it is not made. Take another tool, or tolerance, or a quieter map"

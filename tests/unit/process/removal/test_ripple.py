@@ -1,0 +1,223 @@
+"""Ripple of a path, against a direct sum on a grid of a twentieth of the spot radius that shares no code with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from polishd.model.errors import ComputeError
+from polishd.model.process import ToolProcess
+from polishd.model.surface import BoolArray, FloatArray, Grid
+from polishd.process.removal import contact
+from polishd.process.removal.ripple import ActingSpots, Ripple, RippleLine, ripple_of
+from polishd.process.removal.tif import HertzSpot, WiderSpot
+from polishd.process.removal.tif_family import PathBlocks
+
+PROCESS = ToolProcess()
+DEPTH_MM = contact.hertz_depth_mm(PROCESS)
+RADIUS_MM = float(contact.contact_radius_mm(PROCESS, DEPTH_MM))
+GRID = Grid(61, 61, 0.5)
+CLEAR_MM = 14.0
+
+
+def clear() -> BoolArray:
+    x, y = np.meshgrid(GRID.x_mm, GRID.y_mm)
+    return np.asarray(np.hypot(x, y) < CLEAR_MM)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A raster of 40 mm, each point or block with its dwell."""
+
+    pitch_mm: float
+    step_mm: float = 1.0
+    rests: bool = False
+    azimuth_deg: float = 90.0
+    gamma: tuple[float, float] = (0.95, 0.95)
+    """At both ends of the part, linear between them across the lines."""
+    slope: tuple[float, float] = (0.0, 0.0)
+    """Relative change of the removal from the centre to 20 mm, along and across the lines."""
+    angle_deg: float = 0.0
+    mean_nm: float = 20.0
+
+    def blocks(self) -> tuple[PathBlocks, FloatArray]:
+        """The path and its dwell."""
+        half, starts, ends = 20.0, [], []
+        for number, y in enumerate(np.arange(-half, half + self.pitch_mm / 2, self.pitch_mm)):
+            x = np.arange(-half, half + self.step_mm / 2, self.step_mm)[:: -1 if number % 2 else 1]
+            points = np.column_stack([x, np.full(x.size, y)])
+            starts.append(points if self.rests else points[:-1])
+            ends.append(points if self.rests else points[1:])
+        start, end = np.concatenate(starts), np.concatenate(ends)
+        middle = (start + end) / 2
+        low, high = self.gamma
+        gamma = low + (high - low) * (middle[:, 1] + half) / (2 * half)
+        wanted = self.mean_nm * (1 + middle @ np.array(self.slope) / half)
+        rate = contact.volume_rate_nm_mm2_s(PROCESS, DEPTH_MM * gamma)
+        turn = np.radians(self.angle_deg)
+        axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        azimuth = np.full(len(start), np.radians(self.azimuth_deg))
+        blocks = PathBlocks(start @ axes, end @ axes, azimuth, gamma, np.ones(len(start)))
+        return blocks, wanted * self.pitch_mm * self.step_mm / rate
+
+
+def direct_nm(blocks: PathBlocks, time_s: FloatArray, scale: float, half_mm: float) -> tuple[FloatArray, FloatArray]:
+    """Places (m,) and removal (m, m), rows with y: the rate at each place, of 24 positions a block, summed."""
+    count = 2 * int(np.ceil(half_mm / (RADIUS_MM / 20))) + 1
+    at = np.linspace(-half_mm, half_mm, count)
+    x, y = np.meshgrid(at, at)
+    height = np.zeros_like(x)
+    near = np.abs((blocks.start_mm + blocks.end_mm) / 2).max(axis=1) < half_mm + 3 * RADIUS_MM
+    for k in np.flatnonzero(near):
+        moves = np.linalg.norm(blocks.end_mm[k] - blocks.start_mm[k]) > 0
+        depth = np.array(DEPTH_MM * blocks.depth_ratio[k])
+        sine, cosine = np.sin(blocks.azimuth_rad[k]), np.cos(blocks.azimuth_rad[k])
+        pieces = 24 if moves else 1
+        for share in (np.arange(pieces) + 0.5) / pieces:
+            centre = blocks.start_mm[k] + share * (blocks.end_mm[k] - blocks.start_mm[k])
+            u, v = (x - centre[0]) / scale, (y - centre[1]) / scale
+            touched = u**2 + v**2 < RADIUS_MM**2 * blocks.depth_ratio[k]
+            tool = u[touched] * sine - v[touched] * cosine, u[touched] * cosine + v[touched] * sine
+            height[touched] += contact.removal_rate_nm_s(PROCESS, depth, *tool) * time_s[k] / pieces / scale**2
+    return at, height
+
+
+def amplitudes(at: FloatArray, height: FloatArray, angle_deg: float, period_mm: float) -> FloatArray:
+    """(3,) amplitude of the harmonics along a direction, beside a smooth surface, by least squares."""
+    x, y = np.meshgrid(at, at)
+    along = x * np.cos(np.radians(angle_deg)) + y * np.sin(np.radians(angle_deg))
+    terms = [x**i * y**j for i in range(4) for j in range(4 - i)]
+    for n in (1, 2, 3):
+        terms += [np.cos(2 * np.pi * n * along / period_mm), np.sin(2 * np.pi * n * along / period_mm)]
+    basis = np.column_stack([term.ravel() for term in terms])
+    found = np.linalg.lstsq(basis, height.ravel(), rcond=None)[0][-6:].reshape(3, 2)
+    return np.asarray(np.hypot(*found.T))
+
+
+def forecast(lines: Lines, **how: float) -> Ripple:
+    blocks, time_s = lines.blocks()
+    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), **how)
+
+
+def of(ripple: Ripple, direction: str) -> list[RippleLine]:
+    return [one for one in ripple.lines if one.direction == direction]
+
+
+CASES = [
+    Lines(0.972),
+    Lines(1.2, azimuth_deg=0.0),
+    Lines(1.5, angle_deg=30.0),
+    Lines(2.0, slope=(0.3, 0.5), gamma=(0.9, 1.0)),
+    Lines(1.2, step_mm=0.5, gamma=(0.85, 0.98), azimuth_deg=40.0, slope=(0.0, 0.6)),
+]
+
+
+@pytest.mark.parametrize("lines", CASES, ids=lambda one: f"{one.pitch_mm}-{one.angle_deg}-{one.azimuth_deg}")
+def test_the_lines_of_a_raster_are_those_of_a_direct_sum(lines: Lines) -> None:
+    blocks, time_s = lines.blocks()
+    across = of(forecast(lines), "across")
+    assert [one.period_mm for one in across] == pytest.approx([lines.pitch_mm / n for n in (1, 2, 3)], rel=1e-3)
+    for scale, figure in ((1.0, "rms_nm"), (0.97, "rms_high_nm"), (1.03, "rms_high_nm")):
+        exact = amplitudes(*direct_nm(blocks, time_s, scale, 2 * lines.pitch_mm), lines.angle_deg + 90, lines.pitch_mm)
+        found = np.array([getattr(one, figure) for one in across]) * 2**0.5
+        total, known = float(np.linalg.norm(exact)), float(np.linalg.norm(found))
+        if figure == "rms_nm":
+            assert known == pytest.approx(total, rel=0.1)
+        else:
+            assert known >= 0.9 * total
+
+
+def test_points_at_rest_leave_a_pattern_along_the_lines_too() -> None:
+    lines = Lines(1.0, rests=True)
+    blocks, time_s = lines.blocks()
+    at, height = direct_nm(blocks, time_s, 1.0, 2.0)
+    found = forecast(lines)
+    for direction, angle in (("across", 90.0), ("along", 0.0)):
+        own = np.array([one.amplitude_nm for one in of(found, direction)])
+        assert np.linalg.norm(own) == pytest.approx(np.linalg.norm(amplitudes(at, height, angle, 1.0)), rel=0.1)
+
+
+def test_a_moving_tool_leaves_no_pattern_along_its_lines() -> None:
+    assert of(forecast(Lines(1.0)), "along") == []
+
+
+def test_an_uncertain_radius_counts_the_more_the_nearer_the_distance_is_to_a_null_of_the_spot() -> None:
+    null, beside = forecast(Lines(0.967)), forecast(Lines(1.2))
+    assert null.rms_high_nm > 1.25 * null.rms_nm
+    assert beside.rms_high_nm < 1.15 * beside.rms_nm
+    assert forecast(Lines(0.967), radius_error=0.0).rms_high_nm == pytest.approx(null.rms_nm)
+
+
+def test_lines_that_a_cell_averages_away_are_not_on_the_grid() -> None:
+    ripple = forecast(Lines(0.5))
+    assert ripple.lines[0].on_grid < 1e-6
+    assert ripple.finer_nm == pytest.approx(ripple.rms_nm)
+    coarse = forecast(Lines(2.0))
+    assert coarse.lines[0].on_grid == pytest.approx(np.sinc(0.25) ** 2)
+    assert coarse.finer_nm < 0.6 * coarse.rms_nm
+
+
+def test_a_map_shows_what_its_samples_resolve() -> None:
+    ripple = forecast(Lines(0.972))
+    assert ripple.shown_nm(0.02) == pytest.approx(ripple.finer_nm, rel=0.02)
+    assert ripple.shown_nm(None, high=True) > ripple.shown_nm(0.1, high=True) > ripple.shown_nm(0.5, high=True)
+
+
+def test_a_spiral_has_the_ripple_of_a_raster_of_its_pitch() -> None:
+    pitch, turns = 1.5, 13
+    angle = np.sqrt(np.arange(1, 20_000) / 19_999.0) * 2 * np.pi * turns
+    radius = pitch * angle / (2 * np.pi)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])[::10]
+    start, end = points[:-1], points[1:]
+    rate = float(contact.volume_rate_nm_mm2_s(PROCESS, np.array([0.95 * DEPTH_MM]))[0])
+    time_s = 20.0 * pitch * np.linalg.norm(end - start, axis=1) / rate
+    n = len(start)
+    blocks = PathBlocks(start, end, np.full(n, np.pi / 2), np.full(n, 0.95), np.ones(n))
+    found = ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear())
+    # its lines run in all directions, across which the spot of a leaning spindle is not the same
+    sides = [forecast(Lines(pitch, azimuth_deg=azimuth)).rms_nm for azimuth in (0.0, 90.0)]
+    assert 0.9 * min(sides) < found.rms_nm < 1.1 * max(sides)
+    assert found.lines[0].period_mm == pytest.approx(pitch, rel=0.02)
+
+
+def test_a_path_without_lines_has_one_figure_for_all_directions() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-20, 20, (1600, 2))
+    n = len(points)
+    blocks = PathBlocks(points, points, np.full(n, np.pi / 2), np.full(n, 0.95), np.ones(n))
+    time_s = np.full(n, 1.0)
+    found = ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear())
+    assert [one.direction for one in found.lines] == ["every"]
+    _, height = direct_nm(blocks, time_s, 1.0, 4.0)
+    assert 0.0 < found.rms_nm < float(height.std())
+
+
+def test_a_wider_spot_of_the_same_volume_is_the_spot_of_the_high_value() -> None:
+    lines = Lines(1.5)
+    blocks, time_s = lines.blocks()
+    spots = [WiderSpot(HertzSpot(PROCESS, 128), factor) for factor in (1.0, 0.97, 1.03)]
+    each = [ripple_of(ActingSpots(spot, blocks), time_s, GRID, clear(), radius_error=0.0).lines[0] for spot in spots]
+    assert forecast(lines).lines[0].rms_high_nm == pytest.approx(max(one.rms_nm for one in each), rel=1e-3)
+
+
+def test_a_curved_contact_is_laid_down_as_it_is_widened() -> None:
+    blocks, time_s = Lines(1.5).blocks()
+    wide = replace(blocks, bent=np.tile([1.1, 1.1, 0.0], (blocks.n, 1)))
+    plain = ripple_of(ActingSpots(WiderSpot(HertzSpot(PROCESS), 1.1), blocks), time_s, GRID, clear(), radius_error=0.0)
+    curved = ripple_of(ActingSpots(HertzSpot(PROCESS), wide), time_s, GRID, clear(), radius_error=0.0)
+    assert curved.lines[0].rms_nm == pytest.approx(plain.lines[0].rms_nm, rel=0.02)
+
+
+def test_no_block_in_the_aperture_leaves_no_ripple() -> None:
+    blocks, time_s = Lines(1.0).blocks()
+    acting = ActingSpots(HertzSpot(PROCESS), blocks)
+    assert ripple_of(acting, np.zeros_like(time_s), GRID, clear()).lines == ()
+    assert ripple_of(acting, time_s, GRID, np.zeros(GRID.shape, dtype=np.bool_)).lines == ()
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 0.7, np.nan])
+def test_an_error_of_the_radius_that_cannot_be_is_refused(wrong: float) -> None:
+    with pytest.raises(ComputeError, match="the error of the spot's radius"):
+        forecast(Lines(1.0), radius_error=wrong)
