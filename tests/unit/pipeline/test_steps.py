@@ -472,7 +472,7 @@ def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(
             replace(measured, stats=replace(measured.stats, rms_nm=0.0)), after, solved.asked_s, solved.expected_s
         )
         believed = steps.learn(recipe, program, done, EstimatesInUse()).believed
-        forecasts.append((believed.ripple, forecast_of(recipe, after, plan, believed)))
+        forecasts.append((believed.ripple, forecast_of(recipe, after, plan, believed, None)))
     removed_nm = float(np.sqrt(np.mean(removal[measured.metric_mask] ** 2)))
     assert forecasts[0][0] == pytest.approx(1.5 / removed_nm, rel=0.02)
     assert forecasts[1][0] == 0.0

@@ -92,13 +92,13 @@ def test_noise_that_no_spot_follows_comes_again() -> None:
 def test_a_ripple_between_tracks_stays_and_grows_with_each_pass() -> None:
     now = 2.0 * figure(np.random.default_rng(3))
     stays, grows = (
-        forecast(now, now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, finer_nm=1.0, ripple=ripple)
+        forecast(now, now, removed_nm=60.0, rate_sigma=0.0, unexplained=0.0, finer_nm=1.0, known_ripple=ripple)
         for ripple in (0.0, 0.015)
     )
     assert stays.low_nm == stays.high_nm == pytest.approx(1.0)
     assert 1.0 <= grows.low_nm < 1.1
     assert 1.2 < grows.median_nm < 1.0 + 0.015 * 60.0 < grows.high_nm
-    cast = {"rate_sigma": 0.0, "unexplained": 0.0, "finer_nm": 1.0, "ripple": 0.015}
+    cast = {"rate_sigma": 0.0, "unexplained": 0.0, "finer_nm": 1.0, "known_ripple": 0.015}
     none_to_gain = forecast(0.1 * now, 0.1 * now, removed_nm=60.0, **cast)
     assert none_to_gain.better < 0.2
 
