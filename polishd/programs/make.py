@@ -28,6 +28,8 @@ from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import path_program, read
 from polishd.process.optic_surface import unit_normals
 from polishd.process.removal import contact
+from polishd.process.removal.ripple import ContactAt, QuietPitch, quiet_pitch
+from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot.compliance import compliance_at, depth_ratio
 from polishd.process.toolpath import apertures
 from polishd.process.toolpath.apertures import Aperture, largest_turn_deg, over_outline, tool_axes
@@ -263,6 +265,18 @@ def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
 
 def contact_radius_mm(config: CellConfig) -> float:
     """Radius of the contact at the part's center."""
+    process = config.tool_process()
+    depth = contact_at_center(config).depth_ratio * contact.hertz_depth_mm(process)
+    return float(contact.contact_radius_mm(process, np.array(depth)))
+
+
+def quiet_lines(config: CellConfig, at_most_mm: float) -> QuietPitch:
+    """The distance of lines along the part's x with the least ripple of the cell's modeled spot (`quiet_pitch`)."""
+    return quiet_pitch(HertzSpot(config.tool_process()), contact_at_center(config), at_most_mm)
+
+
+def contact_at_center(config: CellConfig) -> ContactAt:
+    """The contact at the part's center."""
     centre, process, placement = np.zeros((1, 3)), config.tool_process(), config.placement()
     options, optic = config.compliance_options(), config.optic()
     axes = tool_axes(centre, optic, config.process.dip_deg, options, placement)
@@ -277,7 +291,7 @@ def contact_radius_mm(config: CellConfig) -> float:
     )
     depth = contact.hertz_depth_mm(process)
     gamma = depth_ratio(found.compliance_mm_per_n, process, depth)
-    return float(contact.contact_radius_mm(process, gamma * depth)[0])
+    return ContactAt(float(gamma[0]), float(np.arctan2(axes[0, 1], axes[0, 0])))
 
 
 # A raster for a cell: slightly larger than its part, without ripple for its spot, with the cell's dip.

@@ -37,8 +37,7 @@ from polishd.process.robot.compliance import reachable
 from polishd.process.robot.hybrid import geometry_of, solve_pose
 from polishd.process.robot.serial import reach_mm
 from polishd.process.toolpath.apertures import on_optic, tool_axes
-from polishd.process.toolpath.paths import quiet_step_mm
-from polishd.programs.make import contact_radius_mm, make_program
+from polishd.programs.make import make_program, quiet_lines
 from polishd.programs.options import MakeOptions
 from polishd.rendering.terminal import emit, key_table, stderr, stdout
 from polishd.util.files import make_folder, write_atomic
@@ -393,8 +392,8 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
     by_tool = {"removal_model": "hertz_preston", "tif": None}  # of a measured spot only the place counts here
     config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
     try:
-        pitch_mm = quiet_step_mm(contact_radius_mm(config), PITCH_MM)
-        options = MakeOptions(shape, Path(config.program.path), pitch_mm=pitch_mm, step_mm=PITCH_MM)
+        quiet = quiet_lines(config, PITCH_MM)
+        options = MakeOptions(shape, Path(config.program.path), pitch_mm=quiet.pitch_mm, step_mm=PITCH_MM)
         made = make_program(options, config, plugins_of(config))
     except PolishdError as error:
         if "part.origin_mm" in draft.assumed or reached(config):  # of another cause
@@ -405,7 +404,7 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
             "part.origin_mm", f"{problem}. Nothing was written. Move the part there, or mend [kinematics]"
         ) from error
     draft.files[config.program.path] = made.text
-    return f"{shape}, {made.answer['points']} points, lines {pitch_mm:.3g} mm apart"
+    return f"{shape}, {made.answer['points']} points, {quiet.words}"
 
 
 def write_cell(made: NewCell, *, force: bool) -> None:

@@ -22,6 +22,7 @@ from polishd.process.checks import require_number
 from polishd.process.removal.spread_effect import WIDTH, damping, spline
 from polishd.process.removal.tif import HertzSpot, Spot, WiderSpot
 from polishd.process.removal.tif_family import Indices, PathBlocks, reach_cells, windows
+from polishd.process.removal.transfer_function import modulus_along
 
 RADIUS_ERROR = 0.03
 """Default of what 95 % of spots stay within, of their radius: a TIF that was measured once."""
@@ -318,7 +319,8 @@ class _Patch(NamedTuple):
         total /= damping(scipy.fft.fftfreq(fast))[:, None] * damping(scipy.fft.rfftfreq(fast))
         middle = slice(2 * reach, 2 * reach + size)
         height = np.asarray(scipy.fft.irfft2(total, (fast, fast))[middle, middle], dtype=np.float64)
-        return cls(height, (np.arange(size) - cells) * h)
+        at = np.asarray((np.arange(size) - cells) * h, dtype=np.float64)
+        return cls(height, at)
 
 
 def _kinds(blocks: PathBlocks) -> tuple[list[PathBlocks], NDArray[np.int64]]:
@@ -424,3 +426,89 @@ def _short(patch: _Patch, cell_mm: float, longest_mm: float, grid_mm: float) -> 
     some = np.where(frequency >= 1 / longest_mm, power, 0.0)
     kept = (np.sinc(fx * grid_mm) * np.sinc(fy * grid_mm)) ** 2
     return np.array([some.sum(), (some * kept).sum(), (some * frequency).sum()])
+
+
+# The line distance that a spot whose radius is not known exactly leaves least ripple with.
+
+MORE_PATH = 1.15
+"""Path that a quieter line distance may cost, over that of the largest one."""
+CANDIDATES = 301
+
+
+@dataclass(frozen=True, slots=True)
+class ContactAt:
+    """A contact, and the lines that it follows."""
+
+    depth_ratio: float
+    """Gamma."""
+    azimuth_rad: float
+    """Where the spindle leans, counterclockwise from the part's x."""
+    across_rad: float = np.pi / 2
+    """Direction across the lines, counterclockwise from the part's x."""
+
+
+@dataclass(frozen=True, slots=True)
+class QuietPitch:
+    """A line distance, and the ripple that it leaves, RMS over the mean removal."""
+
+    pitch_mm: float
+    share: float
+    """With the spot as modelled."""
+    share_high: float
+    """With a spot whose radius is off, the worse of both signs."""
+    radius_error: float = RADIUS_ERROR
+
+    @property
+    def words(self) -> str:
+        """Return the distance and its ripple as text."""
+        high = f"{100 * self.share_high:.1f} % with a radius that is off by {100 * self.radius_error:g} %"
+        return f"lines {self.pitch_mm:.3g} mm apart, ripple {100 * self.share:.1f} % of the mean removal, {high}"
+
+
+def ripple_shares(
+    spot: Spot, contact: ContactAt, pitch_mm: FloatArray, radius_error: float = RADIUS_ERROR
+) -> tuple[FloatArray, FloatArray]:
+    """RMS ripple of straight lines of even removal, over its mean, for (m,) line distances.
+
+    Each harmonic has twice the share that the spot's spectrum has at its frequency, zero to peak.
+
+    Args:
+        spot: the spot.
+        contact: how it acts, and where the lines run.
+        pitch_mm: (m,) distances.
+        radius_error: share of the radius that the spot may be off by.
+
+    Returns:
+        (m,) as modelled, and (m,) the largest for a spot as modelled, narrower and wider.
+    """
+    ratio = np.array([contact.depth_ratio])
+    fine = _widened(spot, 1.0)
+    patch = fine.patch(ratio, np.array([contact.azimuth_rad]))[0]
+    side = 2 * float(fine.half_width_mm(ratio)[0]) / len(patch)
+    order = np.arange(1, HARMONICS + 1)[:, None]
+    factors = (1.0, 1.0 - radius_error, 1.0 + radius_error)
+    found = []
+    for factor in factors:
+        frequency = (factor * order / pitch_mm).ravel()
+        share = modulus_along(patch, side, frequency, contact.across_rad).reshape(HARMONICS, -1) / patch.sum()
+        found.append(np.sqrt(2 * np.sum(share**2, axis=0)))
+    return found[0], np.max(found, axis=0)
+
+
+def quiet_pitch(
+    spot: Spot,
+    contact: ContactAt,
+    at_most_mm: float,
+    *,
+    radius_error: float = RADIUS_ERROR,
+    more_path: float = MORE_PATH,
+) -> QuietPitch:
+    """Find the line distance up to ``at_most_mm`` with the least ripple of a spot whose radius may be off.
+
+    Its path is at most ``more_path`` times as long as that with the largest distance. Arguments as of `ripple_shares`.
+    """
+    require_number("the largest line distance", at_most_mm, "mm", above=0.0)
+    pitch = np.linspace(at_most_mm / more_path, at_most_mm, CANDIDATES)
+    share, high = ripple_shares(spot, contact, pitch, radius_error)
+    best = int(np.argmin(high))
+    return QuietPitch(float(pitch[best]), float(share[best]), float(high[best]), radius_error)

@@ -76,7 +76,7 @@ def spot_transfer_function(
     modulus = (
         np.mean(
             [
-                _modulus(patch, side, frequency, angle)
+                modulus_along(patch, side, frequency, angle)
                 for angle in np.asarray((np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS, dtype=np.float64)
             ],
             axis=0,
@@ -112,8 +112,15 @@ def correctable_surface(
     )
 
 
-def _modulus(patch: FloatArray, side: float, frequency: FloatArray, angle: float) -> FloatArray:
-    """(k,) modulus of a patch's spectrum along one direction."""
+def modulus_along(patch: FloatArray, side: float, frequency: FloatArray, angle: float) -> FloatArray:
+    """(k,) modulus of a patch's spectrum along one direction.
+
+    Args:
+        patch: (m, m) volume rate of each square.
+        side: width of a square, mm.
+        frequency: (k,) 1/mm.
+        angle: direction, rad counterclockwise from the part's x.
+    """
     at = (np.arange(len(patch)) - (len(patch) - 1) / 2) * side
     x, y = frequency * np.cos(angle), frequency * np.sin(angle)
     across, down = 2 * np.pi * x[:, None] * at, 2 * np.pi * y[:, None] * at

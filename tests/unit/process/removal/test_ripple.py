@@ -11,7 +11,16 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.removal import contact
-from polishd.process.removal.ripple import ActingSpots, Ripple, RippleLine, ripple_of
+from polishd.process.removal.ripple import (
+    RADIUS_ERROR,
+    ActingSpots,
+    ContactAt,
+    Ripple,
+    RippleLine,
+    quiet_pitch,
+    ripple_of,
+    ripple_shares,
+)
 from polishd.process.removal.tif import HertzSpot, WiderSpot
 from polishd.process.removal.tif_family import PathBlocks
 
@@ -96,9 +105,9 @@ def amplitudes(at: FloatArray, height: FloatArray, angle_deg: float, period_mm: 
     return np.asarray(np.hypot(*found.T))
 
 
-def forecast(lines: Lines, **how: float) -> Ripple:
+def forecast(lines: Lines, radius_error: float = RADIUS_ERROR) -> Ripple:
     blocks, time_s = lines.blocks()
-    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), **how)
+    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), radius_error=radius_error)
 
 
 def of(ripple: Ripple, direction: str) -> list[RippleLine]:
@@ -221,3 +230,27 @@ def test_no_block_in_the_aperture_leaves_no_ripple() -> None:
 def test_an_error_of_the_radius_that_cannot_be_is_refused(wrong: float) -> None:
     with pytest.raises(ComputeError, match="the error of the spot's radius"):
         forecast(Lines(1.0), radius_error=wrong)
+
+
+# The line distance with the least ripple.
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 40.0, 90.0])
+def test_the_share_of_straight_lines_is_that_of_their_sum(azimuth_deg: float) -> None:
+    pitch = np.array([0.972, 1.2, 2.0])
+    contact_at = ContactAt(0.95, np.radians(azimuth_deg))
+    share, high = ripple_shares(HertzSpot(PROCESS), contact_at, pitch)
+    found = [forecast(Lines(one, azimuth_deg=azimuth_deg)) for one in pitch]
+    assert 20.0 * share == pytest.approx([one.rms_nm for one in found], rel=0.05)
+    assert (high >= share).all()
+    assert 20.0 * high == pytest.approx([one.rms_high_nm for one in found], rel=0.15)
+
+
+def test_the_quiet_pitch_is_better_than_its_neighbours_and_within_its_path() -> None:
+    contact_at = ContactAt(0.95, np.pi / 2)
+    found = quiet_pitch(HertzSpot(PROCESS), contact_at, 1.0)
+    others = np.linspace(1.0 / 1.15, 1.0, 50)
+    assert found.share_high <= ripple_shares(HertzSpot(PROCESS), contact_at, others)[1].min() * 1.001
+    assert 1.0 / 1.15 <= found.pitch_mm <= 1.0
+    shorter = quiet_pitch(HertzSpot(PROCESS), contact_at, 1.0, more_path=3.0)
+    assert shorter.share_high < found.share_high
