@@ -269,14 +269,14 @@ def trade_off_picture(plan: Arrays, predicted_nm: float) -> Figure:
     return fig
 
 
-def spectra_picture(surfaces: Sequence[tuple[str, ReportSurface]], lsf_period_mm: float) -> Figure:
-    """Power spectrum of each measurement: the first gray, the last dark."""
+def spectra_picture(surfaces: Sequence[tuple[str, ReportSurface]], periods_mm: Sequence[float]) -> Figure:
+    """Power spectrum of each measurement: the first gray, the last dark. Periods are marked by dotted lines."""
     fig = figure(*HALF_IN)
     shades = mpl.colormaps["Blues"](np.linspace(0.4, 0.95, max(len(surfaces) - 1, 1)))
     curves = {
         name: smooth_spectrum(surface.height_nm, surface.metric_mask, surface.pitch_mm) for name, surface in surfaces
     }
-    spectrum(fig.add_subplot(), curves, periods_mm=[lsf_period_mm], colors=[MUTED, *shades])
+    spectrum(fig.add_subplot(), curves, periods_mm=periods_mm, colors=[MUTED, *shades])
     return fig
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -227,7 +228,11 @@ def run_section(folder: RunFolderReader, album: Album) -> DocumentSection:
     if surfaces:
         lsf_mm = float(folder.summary.get("lsf_period_mm") or LSF_PERIOD_MM)
         caption = f"Averaged over directions; edge tapered. Figure (LSF) is left of the dotted line at {lsf_mm:g} mm."
-        album.add("psd", caption, lambda: run_pictures.spectra_picture(surfaces, lsf_mm), wide=False)
+        lines_mm = sorted(
+            {round(run_pictures.number(one, "period_mm"), 3) for row in rows for one in row.get("ripple") or ()}
+        )
+        caption += " Further dotted lines: periods of the path's ripple." if lines_mm else ""
+        album.add("psd", caption, lambda: run_pictures.spectra_picture(surfaces, [lsf_mm, *lines_mm]), wide=False)
     return DocumentSection("Surface" if folder.planned else "The whole run", pictures=album.take())
 
 
@@ -248,10 +253,24 @@ def cycle_sections(folder: RunFolderReader, index: int, album: Album) -> list[Do
     _draw_path(folder, index, album)
     title = "Plan" if folder.planned else f"{wording.pass_after(rows, index)} ({cycle.name})"
     tables = [] if cycle.certificate is None else [Table((), certificate_rows(cycle.certificate))]
+    ripple = ripple_table(rows[index]) if index < len(rows) else None
     return [
         DocumentSection(title, pictures=album.take()),
+        *([] if ripple is None else [DocumentSection("Ripple that the path adds", [ripple])]),
         DocumentSection("Certificate of the dwell solution", tables, files=cycle.files),
     ]
+
+
+def ripple_table(row: Mapping[str, Any]) -> Table | None:
+    """Return the harmonics that a pass adds, and their sum; None where there is no forecast."""
+    lines = [one for one in row.get("ripple") or () if isinstance(one, dict)]
+    if not lines:
+        return None
+    keys = ("period_mm", "amplitude_nm", "rms_nm", "rms_high_nm")
+    cells = [(plain(one.get("direction")), *(f"{run_pictures.number(one, key):.2f}" for key in keys)) for one in lines]
+    whole = [f"{math.sqrt(sum(run_pictures.number(one, key) ** 2 for one in lines)):.2f}" for key in keys[2:]]
+    head = ("direction", "period, mm", "amplitude, nm", "RMS, nm", "RMS with the spot's radius off, nm")
+    return Table(head, [*cells, ("all", "", "", *whole)])
 
 
 def certificate_rows(certificate: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -536,3 +536,16 @@ def test_the_gates_picture_is_drawn_of_what_it_left(tmp_path: Path) -> None:
     (tmp_path / "gate.json").write_text(json.dumps({"stop": "a flip", "correlation": 0.1, "best": best}))
     run_report.polishd_on_event(RemovalCheckFailed(cycle=1, stop="a flip", cycle_dir=str(tmp_path)))
     assert (tmp_path / "gate.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_plan_states_the_ripple_that_its_path_adds(tmp_path: Path, undrawn: None) -> None:
+    del undrawn
+    folder = tmp_path / "plan"
+    entry = write_cycle(folder, 0, passed=True, executed=False)
+    one = {"direction": "across", "amplitude_nm": 1.2, "rms_nm": 0.85, "rms_high_nm": 1.02, "on_grid": 0.3}
+    lines = [one | {"period_mm": 0.93}, one | {"period_mm": 0.46, "rms_nm": 0.07, "rms_high_nm": 0.24}]
+    write_summary(folder, [entry | {"ripple": lines}], outcome="planned")
+    found = section(page_of(folder), "Ripple that the path adds")
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", found, re.DOTALL)]
+    assert ["0.93", "1.20", "0.85", "1.02"] in [row[-4:] for row in rows]
+    assert [row[-2:] for row in rows][-1] == ["0.85", "1.05"]
