@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo robustness robustness-dask test test-all test-long test-maps ways-out crash faults pits replies model soak shop-campaign coverage mutate interop check format reference docs paper bench compare naming scenarios lock dist dist-check image-check clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12

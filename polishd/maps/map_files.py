@@ -280,6 +280,7 @@ class MapSource:
         surface = read_map(path, self.asked)
         if self.units is not None:
             surface = _in_units(surface, *self.units)
+        surface = _with_scale_advice(surface)
         if self.instrument is not None:
             surface = self._as_profiled(surface, self.instrument)
         return masked(surface, self.masks)
@@ -326,6 +327,18 @@ def _units(text: str | None) -> tuple[str | None, str] | None:
             f"--units {text!r}: two units of length, of places and heights, as mm,nm; or one, of heights"
         )
     return (words[0] if len(words) == 2 else None), words[-1]
+
+
+def _with_scale_advice(surface: SurfaceMap) -> SurfaceMap:
+    """The map with the option that gives its lateral scale in the warning that it has none."""
+    warning = surface.doubts.get("pitch")
+    if warning is None or surface.pitch_mm is not None:
+        return surface
+    units = IN_UNITS in surface.factors
+    advice = "give --units, such as --units mm,nm" if units else "give --profile with lateral.pitch_mm"
+    advised = f"{warning}: {advice}"
+    warnings = tuple(advised if one == warning else one for one in surface.warnings)
+    return replace(surface, warnings=warnings, doubts={**surface.doubts, "pitch": advised})
 
 
 def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceMap:

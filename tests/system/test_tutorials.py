@@ -1,4 +1,4 @@
-"""docs/tutorials: the files and commands of each page, as written, in an empty folder."""
+"""The files and commands of docs/tutorials and docs/how-to/universal-robots.md, as written, in an empty folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from tests.patience import SOON_S
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 ROOT = Path(__file__).parents[2]
-TUTORIALS = ROOT / "docs" / "tutorials"
+DOCS = ROOT / "docs"
+TUTORIALS = DOCS / "tutorials"
 MOST_CONCEPTS = 15
 FENCE = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -26,7 +27,7 @@ class Lesson:
     """A tutorial in a folder: its named files are there, and its commands can run."""
 
     def __init__(self, page: str, folder: Path) -> None:
-        text = (TUTORIALS / page).read_text(encoding="utf-8")
+        text = (DOCS / page).read_text(encoding="utf-8")
         self.folder, self.commands = folder, list[str]()
         for language, name, content in FENCE.findall(text):
             if name:
@@ -46,7 +47,7 @@ class Lesson:
 
 
 def test_the_first_plan(tmp_path: Path) -> None:
-    lesson = Lesson("first-plan.md", tmp_path)
+    lesson = Lesson("tutorials/first-plan.md", tmp_path)
     lesson.run("".join(lesson.commands))
     (cycle,) = json.loads((tmp_path / "plan" / "summary.json").read_text())["cycles"]
     assert cycle["predicted_rms_nm"] < cycle["rms_nm"] / 10
@@ -67,7 +68,7 @@ def test_the_first_plan_needs_few_concepts_and_defines_each() -> None:
 
 
 def test_the_rehearsed_cell(tmp_path: Path) -> None:
-    lesson = Lesson("rehearsed-cell.md", tmp_path)
+    lesson = Lesson("tutorials/rehearsed-cell.md", tmp_path)
     begin, rehearse, run, status = lesson.commands
     lesson.run(begin)
     command = rehearse.split()
@@ -87,19 +88,31 @@ def test_the_rehearsed_cell(tmp_path: Path) -> None:
 
 
 def test_the_plugin(tmp_path: Path) -> None:
-    lesson = Lesson("plugin.md", tmp_path)
+    lesson = Lesson("tutorials/plugin.md", tmp_path)
     printed = lesson.run("".join(lesson.commands))
     listed, _, checked = printed.partition("checked, nothing was opened")
     assert "polishd-weekend" in listed
     assert "weekend, " in checked
+    assert checked.rstrip().endswith("in_tolerance runs/1")
     names: dict[str, object] = {}
     exec((tmp_path / "weekend" / "polishd_weekend.py").read_text(), names)
     veto = names["polishd_check_plan"](None, None)  # type: ignore[operator]
     assert len(veto) == (datetime.now().astimezone().weekday() >= 5)
 
 
+def test_a_cell_with_an_arm_of_universal_robots(tmp_path: Path) -> None:
+    """As far as ``polishd check`` and the files of the rehearsal."""
+    lesson = Lesson("how-to/universal-robots.md", tmp_path)
+    checked = lesson.run("".join(lesson.commands))
+    assert "program.script: 825 timed points" in checked
+    assert "all 825 points" in checked
+    assert (tmp_path / "cell" / "cell-rehearsal" / "sim.toml").exists()
+    rehearsed = (tmp_path / "cell" / "cell-rehearsal" / "cell-rehearsal.toml").read_text()
+    assert 'type = "universal_robots"' in rehearsed
+
+
 def test_the_paper(tmp_path: Path) -> None:
-    lesson = Lesson("paper.md", tmp_path)
+    lesson = Lesson("tutorials/paper.md", tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     printed = lesson.run("".join(lesson.commands))
     assert "no x profile is M-shaped" in printed

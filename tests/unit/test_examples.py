@@ -38,6 +38,7 @@ ELSEWHERE = {
     "docs/tutorials/first-plan.md": "tests/system/test_tutorials.py",
     "docs/tutorials/rehearsed-cell.md": "tests/system/test_tutorials.py",
     "docs/how-to/researcher.md": "tests/unit/test_analysis.py",
+    "docs/how-to/universal-robots.md": "tests/system/test_tutorials.py",
 }
 """Pages whose examples need what another test has: that test, which reads the page."""
 NOT_RUN: dict[str, str] = {}

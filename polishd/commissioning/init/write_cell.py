@@ -237,6 +237,10 @@ CELL = "cell.toml"
 LOOKED = "Looked at what is connected, and opened nothing:"
 LEFT_OUT = "-"
 """Typed where an answer is left out."""
+NO_DIALOG = (
+    "the input ended before all questions were answered. Nothing was written. Write the answers into a file: "
+    "polishd init DIR --from ANSWERS.toml"
+)
 PITCH_MM = 1.0
 """Most distance of a made program's lines, and the length of its moves."""
 
@@ -303,7 +307,13 @@ def _prompt(question: Question, problem: str) -> str:
     among = f" ({', '.join(question.choices)})" if question.choices else ""
     default = question.default if isinstance(question.default, str) else toml(question.default)
     stderr.print(question.why, style="dim", markup=False, highlight=False, soft_wrap=True)
-    said: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
+    try:
+        said: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
+    except typer.Abort as error:
+        if not isinstance(error.__context__, EOFError):
+            raise  # Ctrl-C
+        stderr.print()
+        raise typer.BadParameter(NO_DIALOG) from error
     return "" if said == LEFT_OUT else said
 
 

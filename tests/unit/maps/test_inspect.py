@@ -279,7 +279,9 @@ def test_one_key_of_a_profile_is_enough_to_look(polishd: Polishd, tmp_path: Path
     profile.write_text('name = "x"\n[lateral]\npitch_mm = 0.5\n')
     answer = polishd("map", path, "--json", "--profile", profile).answer
     assert (answer["pitch_mm"], answer["unsaid"]) == (0.5, ["orientation", "surface", "unit"])
-    assert set(plain["warnings"]) - set(answer["warnings"]) == {"the file gives no lateral scale"}
+    assert set(plain["warnings"]) - set(answer["warnings"]) == {
+        "the file gives no lateral scale: give --profile with lateral.pitch_mm"
+    }
     profile.write_text('name = "x"\n[height]\nunit_nm = 10\n')
     answer = polishd("map", path, "--json", "--profile", profile).answer
     assert answer["rms_nm"] == pytest.approx(10 * plain["rms_nm"])
@@ -287,6 +289,16 @@ def test_one_key_of_a_profile_is_enough_to_look(polishd: Polishd, tmp_path: Path
     said = polishd("map", "convert", path, tmp_path / "b.x3p", "--profile", profile)
     assert said.code == 8
     assert "does not state its orientation and surface" in said.err
+
+
+def test_a_list_without_units_names_the_option_that_gives_its_scale(polishd: Polishd, tmp_path: Path) -> None:
+    path = tmp_path / "m.xyz"
+    y, x = np.mgrid[0:20, 0:20]
+    np.savetxt(path, np.column_stack([x.ravel() * 0.5, y.ravel() * 0.5, (x * y).ravel()]))
+    answer = polishd("map", path, "--json").answer
+    assert any(one.endswith("give --units, such as --units mm,nm") for one in answer["warnings"]), answer["warnings"]
+    answer = polishd("map", path, "--json", "--units", "mm,nm").answer
+    assert (answer["pitch_mm"], answer["warnings"]) == (0.5, [])
 
 
 def test_no_permission_to_read(polishd: Polishd, good: Path, monkeypatch: pytest.MonkeyPatch) -> None:

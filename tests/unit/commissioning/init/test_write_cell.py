@@ -100,6 +100,14 @@ def test_a_dry_run_writes_nothing_and_shows_the_same_text(tmp_path: Path) -> Non
 
 
 @pytest.mark.full
+def test_a_dialog_without_input_says_how_to_give_answers_and_writes_nothing(tmp_path: Path) -> None:
+    said = CliRunner().invoke(app, ["init", str(tmp_path / "cell")], input="")
+    assert said.exit_code == 2
+    assert "polishd init DIR --from ANSWERS.toml" in " ".join(said.stderr.replace("│", " ").split())
+    assert "Aborted" not in said.stderr
+    assert not (tmp_path / "cell").exists()
+
+
 def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
     init(tmp_path, LENS)
     cell = tmp_path / "cell" / "cell.toml"
