@@ -13,7 +13,7 @@ import pytest
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
 from polishd.config.cell import load_config
 from tests.system.abb_rig import dwell_cell, module, write_files
-from tests.system.cell_rig import Daemon, events, summary, with_part
+from tests.system.cell_rig import Daemon, events, summary, with_keys, with_part
 from tests.system.sim_rig import alive, wait_for
 from tests.system.test_daemon import require_safe_order
 
@@ -26,6 +26,7 @@ RIM = {"aperture_mm": 14.0, "edge_mm": 2.0}
 WITNESS = {"aperture_mm": 30.0, "edge_mm": 1.0}
 """Wide enough for the tracks of a first touch."""
 SPEED = "4"
+QUEUE_S = 600.0
 
 
 def polishd(files: DemoFiles, *arguments: str) -> str:
@@ -40,9 +41,10 @@ def simulator(files: DemoFiles) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(700)
 def test_a_queue_proves_the_seat_of_each_part_before_its_pass(tmp_path: Path) -> None:
     """The modules of the touch-off are for the tool and the work object of the part's own."""
-    files = write_files(tmp_path / "cell", touch_off=True, **ONE_PASS)
+    files = write_files(tmp_path / "cell", touch_off=True, tolerance_nm=60.0, max_cycles=2)
     with_part(files, RIM, module)
     loader = f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{free_port()}"\n'
     files.cell.write_text(files.cell.read_text() + loader)
@@ -53,16 +55,19 @@ def test_a_queue_proves_the_seat_of_each_part_before_its_pass(tmp_path: Path) ->
     polishd(files, "queue", "add", "cell.toml", *(job.name for job in jobs))
     with simulated_cell(files.sim, simulator(files), files.out / "sim.stderr"):
         with Daemon(files, "--queue", "--until-empty") as daemon:
-            daemon.wait()
+            daemon.process.wait(QUEUE_S)
         names = [event["event"] for event in events(files)]
-    assert names.count("tool_landed") == 2 * (3 + 1), daemon.output.read_text()
+    assert daemon.process.returncode == 0, daemon.output.read_text()
+    assert names.count("tool_landed") == 2 * (3 + 1)
     assert "Traceback" not in daemon.output.read_text()
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(700)
 def test_a_first_touch_is_planned_and_polished_in_rapid(tmp_path: Path) -> None:
     files = write_files(tmp_path / "cell", **ONE_PASS)
     with_part(files, WITNESS, module)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"process": {"estimates": "machine"}}))
     part = load_config(files.cell).part.id
     touch = ("calibrate", "first-touch", "cell.toml", "--out", "touch", "--part", part, "--json")
     assert json.loads(polishd(files, *touch))["contact_min"] < 5.0
