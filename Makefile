@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -48,6 +48,9 @@ faults: $(VENV)/.installed ## inject every fault on every link in contact; into 
 
 pits: $(VENV)/.installed ## measure the depth beyond plan of stopped or slow robots and wrong forces; into docs/reference/results.md, can be continued (ARGS="--json")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.pits $(ARGS)
+
+rehearsals: $(VENV)/.installed ## rehearse every example cell to its tolerance (ARGS="--cell abb_cell.toml")
+	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.rehearsals $(ARGS)
 
 replies: $(VENV)/.installed ## send a million malformed or late replies to each driver; into docs/reference/results.md, can be continued (ARGS="--minutes 20")
 	@$(ONE_THREAD) $(BIN)/python -m tests.campaigns.codecs $(ARGS)

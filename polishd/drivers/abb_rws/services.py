@@ -113,9 +113,16 @@ class RwsServices:
         return str(state[key])
 
     async def value(self, symbol: Symbol) -> str:
-        """Read a variable, as RAPID writes its value. DeviceRefused if the controller does not have it."""
+        """Read a variable, as RAPID writes its value. DeviceRefused if the controller does not have it.
+
+        An answer names its variable, with or without the module; some controllers leave the name out.
+        """
         old, new = f"/rw/rapid/symbol/data/RAPID/{symbol.path}", f"/rw/rapid/symbol/RAPID/{symbol.path}/data"
-        return str((await self.get(old if self.version == "1.0" else new)).get("value", ""))
+        state = await self.get(old if self.version == "1.0" else new)
+        title = str(state.get("_title", symbol.name))
+        if "value" not in state or title.rpartition("/")[2].lower() != symbol.name.lower():
+            raise ProtocolError(f"{self._name}: the answer to {symbol.path} is another request's: {title}")
+        return str(state["value"])
 
     async def write(self, symbol: Symbol, value: str) -> None:
         """Write a variable."""

@@ -147,6 +147,8 @@ class ProgramRobot(ABC, Generic[Tracker]):
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the controller runs a program, or is not ready to."""
         self._connection.check()
+        if self._tracker is not None and len(self._tracker) >= self._tracker.blocks:  # its program is about to end
+            await self._connection.until(lambda: not self._running(), self._times.stop_s)
         if self._running():
             raise DeviceRefused(f"{self._name}: a program is running; hold it first")
         await self._clear()

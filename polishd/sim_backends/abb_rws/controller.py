@@ -348,9 +348,9 @@ class AbbController:
         has_triggers = name.startswith("trigg")
         if len(arguments) < 4 + has_triggers:
             raise ProgramError(f"{name} has too few arguments", task.line)
-        values = [task.of(argument) for argument in arguments]
-        zone = values[-2]
-        interrupts = [value[1] for value in values[2:-2]] if has_triggers else []
+        values = [task.of(argument) for argument in arguments[:-1]]  # a controller has the tools of its shop
+        zone = values[-1]
+        interrupts = [value[1] for value in values[2:-1]] if has_triggers else []
         end = self._home() if name == "moveabsj" else self._pose(task, values[0])
         speed = float(task.of(switches["v"])) if "v" in switches else float(values[1][0])
         if "t" in switches:

@@ -237,6 +237,19 @@ async def test_a_new_program_replaces_the_old(robot: RobotRig, opened: Robot) ->
     assert [one.seq for one in await collected(opened)] == [0]
 
 
+@moves
+async def test_the_next_program_follows_the_last_block(robot: RobotRig, opened: Robot) -> None:
+    """``prepare`` right after the last block is executed waits for the old program's end: it does not refuse."""
+    await loaded(robot, 30)
+    await opened.resume()
+    await first_blocks(robot, 30)
+    plan = planned(robot, 1)
+    await opened.prepare(plan)
+    await opened.send(plan.segments)
+    await opened.resume()
+    assert [one.seq for one in await collected(opened)] == [0]
+
+
 @fresh
 @moves
 async def test_nothing_runs_without_a_program(opened: Robot) -> None:

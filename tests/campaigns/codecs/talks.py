@@ -6,13 +6,14 @@ from collections import Counter
 
 import pytest
 
-from tests.campaigns.codecs import lines, modbus, robots
+from tests.campaigns.codecs import lines, modbus, robots, rws
 from tests.campaigns.codecs.nasty import Nasty, Talk, ask_for_ever
 from tests.campaigns.codecs.virtual import virtual
 
 TALKS: list[type[Talk]] = [
     lines.ForceSensor, lines.Monitor, lines.Loader, lines.VoiceCoil, lines.ForceGauge, lines.OwnLines, lines.LinuxCnc,
     modbus.ProfiledRtu, modbus.ProfiledTcp, modbus.Controller, robots.RobotLink, robots.Rtde, robots.Dashboard,
+    rws.RobotWebServices,
 ]  # fmt: skip
 
 

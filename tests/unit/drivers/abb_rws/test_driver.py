@@ -26,10 +26,10 @@ SPEED = 0.5
 
 @asynccontextmanager
 async def robot_at(
-    folder: Path, times: RobotTimes = TIMES, *, has_watch: bool = True
+    folder: Path, times: RobotTimes = TIMES, *, has_watch: bool = True, subscribes: bool = True
 ) -> AsyncIterator[tuple[AbbRobot, FakeAbb]]:
     fake = await FakeAbb(folder, speed=SPEED, has_watch=has_watch).start()
-    robot = AbbRobot(fake.account, times)
+    robot = AbbRobot(fake.account, times, subscribes=subscribes)
     await robot.open()
     try:
         yield robot, fake
@@ -198,6 +198,42 @@ async def test_blocks_last_as_long_as_the_program_says_and_a_hold_counts_for_non
         moves = fake.controller.motion.executed
         # the traps' delay is up to 12 ms; a hold is known to a cycle of the background task and of this process
         assert found[-1].end_s - found[0].end_s == pytest.approx(moves[39][2] - moves[0][2], abs=0.3)
+
+
+@pytest.mark.parametrize(
+    "resource", ["execution", "opmode", "speedratio", "polishd_stop", "polishd_seen", "polishd_state"]
+)
+async def test_an_answer_that_comes_again_behind_the_next_request_is_not_taken_for_that(
+    tmp_path: Path, resource: str
+) -> None:
+    kept, struck = list[bytes](), list[bytes]()
+
+    def again(data: bytes) -> list[bytes]:
+        if kept:
+            return [kept.pop(), data]
+        if resource.encode() in data and not struck:
+            struck.append(data)
+            kept.append(data)
+        return [data]
+
+    async with robot_at(tmp_path, subscribes=False) as (robot, fake):
+        await run(robot)
+        await executed(robot, 3)
+        before = robot._connection.last
+        fake.filter = again
+        with pytest.raises(ProtocolError, match=r"another request's|has no|neither|without a request"):
+            await robot._connection.until(lambda: False, SOON_S)
+        last = robot._connection._report
+        assert struck
+        assert (last.token, last.mode, last.state, last.speed, last.tripped) == (
+            before.token,
+            "AUTO",
+            "motoron",
+            1.0,
+            False,
+        )
+        assert before.count <= last.count <= before.count + 60
+        assert last.stop == before.stop
 
 
 async def test_an_answer_that_comes_twice_ends_the_link(tmp_path: Path) -> None:

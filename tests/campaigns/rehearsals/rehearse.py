@@ -1,0 +1,106 @@
+"""One example cell, as a shop tries it: its program where it ships none, its rehearsal, and a run to the tolerance."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from polishd.config.cell import load_config
+from tests.system.cell_rig import Daemon, events, summary
+from tests.system.sim_rig import ROOT
+from tests.system.test_rehearsal import rehearsed
+
+EXAMPLES = ROOT / "examples"
+ACCEPTED = "in_tolerance"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A row of the table."""
+
+    cell: str
+    robot: str
+    """Type of the job's robot."""
+    language: str
+    outcome: str
+    passes: int
+    first_nm: float | None
+    """RMS of the first map; None: none was measured."""
+    last_nm: float | None
+    true_nm: float | None
+    """RMS of the simulated part at the end, as only the plant knows it."""
+    duration_s: float
+    reason: str
+
+    @property
+    def is_accepted(self) -> bool:
+        """The part is in tolerance."""
+        return self.outcome == ACCEPTED
+
+
+def cells(folder: Path = EXAMPLES) -> dict[str, Path]:
+    """Example cells by their path in the folder: files with a robot and a state folder."""
+    found = {}
+    for path in sorted(folder.rglob("*.toml")):
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        if isinstance(raw.get("robot"), dict) and isinstance(raw.get("cell"), dict):
+            found[path.relative_to(folder).as_posix()] = path
+    return found
+
+
+def measure(name: str, folder: Path) -> Finding:
+    """Rehearse a copy of the example with that name in the folder. AssertionError with the output of what failed."""
+    copy = folder / "examples"
+    shutil.copytree(EXAMPLES, copy)
+    cell = copy / name
+    config = load_config(cell)
+    robot = config.devices[config.used["robot"]].type
+    if not config.program_path.exists():
+        _polishd(cell.parent, "program", "make", "raster", "--cell", cell.name, "--out", config.program.path)
+    with rehearsed(cell, "--seed", "1") as files, Daemon(files, "--no-hold") as daemon:
+        daemon.process.wait()
+        if not (files.run_dir / "summary.json").exists():
+            raise AssertionError(daemon.output.read_text())
+        told, maps = summary(files), events(files, "measured")
+    rms = [cycle["rms_nm"] for cycle in told["cycles"]]
+    return Finding(
+        name,
+        str(robot),
+        config.program.format,
+        str(told["outcome"]),
+        len(rms) - 1,
+        rms[0] if rms else None,
+        rms[-1] if rms else None,
+        maps[-1]["true_rms_nm"] if maps else None,
+        sum(told["phase_times_s"].values()),
+        str(told["reason"]),
+    )
+
+
+def _polishd(folder: Path, *arguments: str) -> None:
+    command = [sys.executable, "-m", "polishd", *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+COLUMNS: Mapping[str, int] = {
+    "cell": 22, "robot": 16, "program": 8, "outcome": 13, "passes": 6, "RMS before, nm": 14, "after": 8, "true": 8,
+    "time, s": 8,
+}  # fmt: skip
+
+
+def line(finding: Finding | None = None) -> str:
+    """A row of the table as text; its head without a finding."""
+    cells_of = [*COLUMNS]
+    if finding is not None:
+        figures = (finding.first_nm, finding.last_nm, finding.true_nm)
+        numbers = ["-" if figure is None else f"{figure:.1f}" for figure in figures]
+        cells_of = [finding.cell, finding.robot, finding.language, finding.outcome, str(finding.passes), *numbers]
+        cells_of += [f"{finding.duration_s:.0f}"]
+    text = "  ".join(cell.ljust(width) for cell, width in zip(cells_of, COLUMNS.values(), strict=True)).rstrip()
+    return f"{text}  {finding.reason}" if finding is not None and finding.reason else text
