@@ -19,7 +19,7 @@ from polishd.plugins.rnc_robot.languages.columns import (
     numbers,
     table,
 )
-from polishd.plugins.rnc_robot.languages.parser import POSTED, Scan
+from polishd.plugins.rnc_robot.languages.parser import Scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
 
 SAME_PLACE_MM = 1e-6
@@ -91,7 +91,7 @@ def _require_one_context(found: Scan, points: PointColumns | MoveColumns, wanted
     if lost < len(points):
         name = points.targets.values()[points.target[lost]]
         raise found.refuse_line(
-            points.move_line[lost], f"the position {name} is not declared as a constant in this file", POSTED
+            points.move_line[lost], f"the position {name} is not declared as a constant in this file", found.undeclared
         )
 
 
