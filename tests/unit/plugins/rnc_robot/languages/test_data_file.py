@@ -20,6 +20,7 @@ BAS (#INITMOV,0 )
 ;ENDFOLD (INI)
 PDAT_ACT=PDEFAULT
 $H_POS=XHOME
+FDAT_ACT=FP1
 PTP XP1
 ;FOLD LIN P1 Vel=0.02 m/s CPDAT1 Tool[1]:Pad Base[2]:Teil \xe4;%{PE}
 $BWDSTART = FALSE
@@ -99,7 +100,7 @@ def test_krl_positions_and_frames_come_from_the_dat(tmp_path: Path) -> None:
     np.testing.assert_allclose(program.time_s, [1 / 20, 2 / 10])
     assert not any("FDAT_ACT" in warning for warning in program.warnings)
     alone = dialect("krl")
-    with pytest.raises(ProgramError, match=r"line 15: the position XP2 is not declared.*put the \.dat file"):
+    with pytest.raises(ProgramError, match=r"line 16: the position XP2 is not declared.*put the \.dat file"):
         formats.read(alone, KRL, "part.src")
 
 
@@ -147,14 +148,14 @@ def test_the_daemon_reads_and_rereads_with_the_file(tmp_path: Path) -> None:
 
 def test_other_frames_in_the_dat_are_refused(tmp_path: Path) -> None:
     bad = DAT.replace(b"FDAT FP2={TOOL_NO 1,BASE_NO 2", b"FDAT FP2={TOOL_NO 1,BASE_NO 3")
-    with pytest.raises(ProgramError, match=r"line 19: another tool or frame \(1, 3\) than at the first point \(1, 2\)"):
+    with pytest.raises(ProgramError, match=r"line 20: another tool or frame \(1, 3\) than at the first point \(1, 2\)"):
         read_program_file(dialect("krl"), put(tmp_path, part__src=KRL, part__dat=bad))
 
 
 @pytest.mark.parametrize(
     ("name", "program", "beside", "reason"),
     [
-        ("krl", KRL, DAT.replace(b"X 11.0", b"X xp"), "line 15: the position XP2 is not declared"),
+        ("krl", KRL, DAT.replace(b"X 11.0", b"X xp"), "line 16: the position XP2 is not declared"),
         ("krl", KRL, DAT + b"DECL E6POS XP1={X 1,Y 2,Z 3,A 0,B 0,C 0}\n", "declared in line 8 too"),
         ("krl", KRL, DAT.replace(b"X 11.0", b"X 11e9"), ".dat file beside it, line 9: a position beyond any robot"),
         ("krl", KRL.replace(b"END\n", b"XP2={X 1,Y 2,Z 3,A 0,B 0,C 0}\nEND\n"), DAT, "XP2 gets another value after"),
