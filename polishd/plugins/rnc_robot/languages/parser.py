@@ -99,6 +99,7 @@ def _matched(profile: LanguageProfile, source: ProgramSource, start: int, line: 
 
 
 LARGEST_MM = 1e6
+_NUMBER = re.compile(NUMBER)
 NOWHERE = (-1, -1)
 """Span of a number that is not in the program's text."""
 POSTED = "have it posted again with the positions written out"
@@ -172,6 +173,10 @@ class Scan:
     """Of the last statement that was read."""
     counted: int = 0
     """The line that ``body_lines`` counted last."""
+    override_line: int = 0
+    """Line of the override that holds, where it is not 100 %; 0: none."""
+    slowed_line: int = 0
+    """Line of an override at which a move ran."""
     warnings: dict[str, None] = field(default_factory=dict)
     modal: dict[str, str] = field(default_factory=dict)
     zones: dict[str | None, str] = field(default_factory=dict)
@@ -276,6 +281,7 @@ def _move(found: Scan, statement: MatchedStatement) -> None:
     if target is not None and found.profile.declare_before_use and move.target not in found.positions:
         raise found.refuse(statement, f"the position {target} is not declared before its use", found.undeclared)
     _keep_motion(found, statement, move, stated)
+    found.slowed_line = found.slowed_line or found.override_line
     _leave_bare(found)
     found.moves += 1
     found.last = found.at = move
@@ -335,10 +341,15 @@ def _keep_motion(found: Scan, statement: MatchedStatement, move: Move, stated: S
 def _approach(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     found.at = None
+    target, fields, place = statement.text("target"), statement.match.re.groupindex, None
+    if found.profile.modal_axes:
+        place = _modal_place(found, statement) if "x" in fields else None
+    elif found.columns is not None and "x" in fields and statement.text("x") is not None:
+        place = place_of(found, statement)
+    if "x" not in fields:  # it leads to a location that the program does not state
+        for axis in "xyz":
+            found.axes.pop(axis, None)
     if found.columns is not None:
-        target, fields = statement.text("target"), statement.match.re.groupindex
-        stated = "x" in fields and (statement.text("x") is not None or found.profile.modal_axes)
-        place = place_of(found, statement) if stated else None
         named = None if target is None else found.folded(target)
         move = Move(
             statement.line, place, named, _offset(found, statement), False, math.nan, _context(found, statement)
@@ -421,7 +432,6 @@ def _position(found: Scan, statement: MatchedStatement) -> None:
 
 _DATA = re.compile(rb"<!--.*?-->|<(/?)(Data|Value)\b([^<>]*?)(/?)>", re.DOTALL)
 _ATTRIBUTE = re.compile(rb"([A-Za-z_][\w:.-]*)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
-_NUMBER = re.compile(NUMBER)
 
 
 def _take_declarations(found: Scan) -> None:
@@ -504,10 +514,17 @@ def _neutral(found: Scan, statement: MatchedStatement) -> None:
             found.modal[name] = text
     if (zone := statement.text("zone")) is not None:
         found.zones[_feed_of(found, statement)] = zone
+    if (override := statement.text("override")) is not None:
+        found.override_line = 0 if _is_whole(override) else statement.line
     if (feed := statement.text("feed")) is not None:
         found.feeds[_feed_of(found, statement)] = ModalFeed(
             feed, statement.text("feed_unit") or "", statement.match.span("feed")
         )
+
+
+def _is_whole(override: str) -> bool:
+    """Whether an override is 100 %."""
+    return _NUMBER.fullmatch(override) is not None and float(override) == 100
 
 
 def _feed_of(found: Scan, statement: MatchedStatement) -> str | None:
@@ -623,15 +640,26 @@ def _inside(found: Scan, statement: MatchedStatement) -> None:
 
 def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
     """The pose that a statement writes out."""
-    profile = found.profile
-    names = ("x", "y", "z", *profile.orientation.fields)
-    written = [statement.number(name) for name in names]
-    if profile.modal_axes:
-        found.axes |= {name: value for name, value in zip(names, written, strict=True) if value is not None}
-        written = [found.axes.get(name, 0.0 if name not in "xyz" else None) for name in names]
-    if None in written:
+    if found.profile.modal_axes:
+        place = _modal_place(found, statement)
+    else:
+        written = [statement.number(name) for name in ("x", "y", "z", *found.profile.orientation.fields)]
+        place = None if None in written else pose_of(found, statement.line, [value or 0.0 for value in written])
+    if place is None:
         raise found.refuse(statement, "the position is not complete", POSTED)
-    return pose_of(found, statement.line, [value or 0.0 for value in written])
+    return place
+
+
+def _modal_place(found: Scan, statement: MatchedStatement) -> WrittenPose | None:
+    """The pose of what a statement writes out and of what holds from before; None where no x, y or z holds."""
+    turns = found.profile.orientation.fields
+    values = {name: statement.number(name) for name in ("x", "y", "z", *turns)}
+    found.axes |= {name: value for name, value in values.items() if value is not None}
+    if not {"x", "y", "z"} <= found.axes.keys():
+        return None
+    return pose_of(
+        found, statement.line, [*(found.axes[axis] for axis in "xyz"), *(found.axes.get(t, 0.0) for t in turns)]
+    )
 
 
 def pose_of(found: Scan, line: int, written: Sequence[float]) -> WrittenPose:
@@ -701,6 +729,15 @@ def _stated(found: Scan, statement: MatchedStatement) -> StatedTime:
 
 def _context(found: Scan, statement: MatchedStatement) -> Context:
     """Tool and frame that the move is written for."""
+    if (name := statement.text("context_name")) is not None:
+        base = statement.text("base_name") or name
+        if found.folded(base) != found.folded(name):
+            raise found.refuse(statement, f"the tool of {name} with the base of {base}", "name one of them for both")
+        context = found.named_contexts.get(found.folded(name))
+        if context is not None:
+            return context
+        found.warnings["tools and frames that moves name are declared elsewhere: taken to be the same at all"] = None
+        return None, None
     tool, frame = (
         statement.text(name) if name in statement.match.re.groupindex else found.modal.get(name)
         for name in ("tool", "frame")

@@ -131,6 +131,12 @@ def timed_moves(found: Scan) -> TimedMoves:
     ProgramError at the first feed move whose time is not known, and at arcs that carry their time.
     """
     columns, rules = require_rules(found)
+    if found.slowed_line:
+        raise found.refuse_line(
+            found.slowed_line,
+            "an override that is not 100 %: the moves do not take the time that they state",
+            "have it posted with an override of 100 %, or with waits",
+        )
     stated, number, factor = numbers(columns.stated), np.array(columns.number), np.array(columns.factor)
     feed = np.where(stated > StatedBy.TIME, number * factor, np.nan)
     with np.errstate(invalid="ignore"):
