@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count
@@ -68,7 +69,9 @@ def orientations(profile: LanguageProfile, axis: FloatArray) -> FloatArray:
     if notation.convention == "quaternion":
         return np.asarray(rotation.as_quat(canonical=True)[:, [3, 0, 1, 2]])
     if notation.convention == "euler_deg":
-        return np.asarray(rotation.as_euler(notation.axes, degrees=True))
+        with warnings.catch_warnings():  # of an upright tool the third angle is zero where the axes are ZYZ
+            warnings.filterwarnings("ignore", message="Gimbal lock", category=UserWarning)
+            return np.asarray(rotation.as_euler(notation.axes, degrees=True))
     return np.asarray(rotation.as_rotvec())
 
 
