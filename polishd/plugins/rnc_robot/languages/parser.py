@@ -430,7 +430,7 @@ def _position(found: Scan, statement: MatchedStatement) -> None:
     found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
 
 
-_DATA = re.compile(rb"<!--.*?-->|<(/?)(Data|Value)\b([^<>]*?)(/?)>", re.DOTALL)
+_DATA = re.compile(rb"<(/?)(Data|Value)\b([^<>]*)>")
 _ATTRIBUTE = re.compile(rb"([A-Za-z_][\w:.-]*)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
 
 
@@ -468,11 +468,10 @@ def _take_elements(other: Scan, rules: DataFile) -> None:
     """Elements of XML arrays, each under ``name[key]``."""
     name = kind = ""
     at, line = 0, 1
-    for match in _DATA.finditer(other.source.data):
-        line += other.source.data.count(b"\n", at, match.start())
+    data = _without_comments(other.source.data)
+    for match in _DATA.finditer(data):
+        line += data.count(b"\n", at, match.start())
         at = match.start()
-        if match[2] is None:
-            continue
         named = {
             key.decode("latin-1"): (one or two).decode("latin-1") for key, one, two in _ATTRIBUTE.findall(match[3])
         }
@@ -486,6 +485,17 @@ def _take_elements(other: Scan, rules: DataFile) -> None:
             _take_position(other, rules, f"{name}[{key}]", named, line)
         elif kind in rules.speeds:
             _take_speed(other, rules, f"{name}[{key}]", named)
+
+
+def _without_comments(data: bytes) -> bytes:
+    """XML with its comments blanked, line by line as long as before."""
+    pieces, at = [], 0
+    while (start := data.find(b"<!--", at)) >= 0:
+        end = data.find(b"-->", start)
+        end = len(data) if end < 0 else end
+        pieces += [data[at:start], b"\n" * data.count(b"\n", start, end)]
+        at = end
+    return b"".join([*pieces, data[at:]])
 
 
 def _take_position(other: Scan, rules: DataFile, name: str, named: dict[str, str], line: int) -> None:
