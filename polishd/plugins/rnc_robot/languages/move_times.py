@@ -510,10 +510,12 @@ def timeless_lines(found: Scan, *, recoded: bool) -> list[tuple[int, bytes]]:
 
 
 def _timing_of_moves(found: Scan) -> Iterator[TextEdit]:
-    """What states the times of the timed moves, in them."""
-    moves = timed_moves(found)
-    columns = moves.columns
-    for row in moves.rows.tolist():
+    """What states the times of the timed moves, in them; where a speed holds, that of every move.
+
+    A move that is no point states a speed anew behind one that has another now; what it is, its row says.
+    """
+    moves, (columns, rules) = timed_moves(found), require_rules(found)
+    for row in range(len(columns)) if rules.feed_holds else moves.rows.tolist():
         here, there = columns.here[row], columns.there[row]
         if here >= 0:
             yield TextEdit(here, there, TIME)

@@ -69,6 +69,7 @@ def statements(profile: LanguageProfile, source: ProgramSource) -> Iterator[Matc
     if lone:
         line = data.count(b"\n", 0, lone.start()) + 1
         raise source.refuse(line, "a carriage return without a line feed", "save it with the line ends of one system")
+    _require_short_lines(source)
     comments = "|".join(map(re.escape, profile.comments)).encode()
     skip = re.compile(rb"(?:[ \t\r\n]++|(?:" + comments + rb")[^\n]*+)*+" if comments else rb"[ \t\r\n]*+")
     at, line = 0, 1
@@ -81,6 +82,17 @@ def statements(profile: LanguageProfile, source: ProgramSource) -> Iterator[Matc
         yield statement
         at = statement.match.end()
         line += data.count(b"\n", start, at)
+
+
+LONGEST_LINE = 1 << 14
+"""Bytes of a line: templates may go over a line as often as it has bytes."""
+
+
+def _require_short_lines(source: ProgramSource) -> None:
+    long = re.search(rb"[^\n]{%d}" % (LONGEST_LINE + 1), source.data)
+    if long:
+        line = source.data.count(b"\n", 0, long.start()) + 1
+        raise source.refuse(line, f"a line of more than {LONGEST_LINE} bytes", "check that the file is a program")
 
 
 def _matched(profile: LanguageProfile, source: ProgramSource, start: int, line: int) -> MatchedStatement:
@@ -454,6 +466,7 @@ def _take_statements(other: Scan) -> None:
     """Declarations at the begin of a line."""
     wanted = {"position": _position, "speed": _speed, "context": _declared_context}
     patterns = [pattern for pattern in other.profile.patterns if pattern.kind in wanted]
+    _require_short_lines(other.source)
     at = 0
     for line, text in enumerate(other.source.data.splitlines(keepends=True), 1):
         start = at + len(text) - len(text.lstrip())

@@ -15,8 +15,9 @@ from polishd.plugins.rnc_robot.languages.columns import Convention
 
 # The notation of statement templates: ``MoveL <target>,<speed>,<zone>,<tool><? \WObj:=<frame>?>;``.
 
-NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+# Possessive: a long run of digits or letters is gone over once, however a template goes on.
+NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?[0-9]++)?+"
+NAME = r"[A-Za-z_][A-Za-z0-9_]*+"
 
 _TOKEN = re.compile(
     r"(?P<open><\?)|(?P<close>\?>)|<(?P<field>[a-z_][a-z0-9_]*)>|<(?P<choice>\w+(?:\|\w+)+)>"
