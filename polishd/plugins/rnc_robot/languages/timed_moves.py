@@ -154,6 +154,9 @@ def timed_moves(found: Scan) -> TimedMoves:
     )
     zero = timed & ~dwelled & (stated > StatedBy.TIME) & (feed <= 0)
     _refuse_first(found, columns, zero, "a speed of zero", "correct it")
+    given = np.where(stated == StatedBy.TIME, number * factor, 1.0)
+    wrong = timed & ~dwelled & ~((given > 0) & np.isfinite(given))
+    _refuse_first(found, columns, wrong, "the time of a move is a number of seconds above zero", "correct it")
     rows = np.flatnonzero(timed)
     with np.errstate(invalid="ignore", divide="ignore"):
         time_s = np.where(stated == StatedBy.TIME, number * factor, 60 * length / feed)
