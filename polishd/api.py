@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from polishd.hookspecs import (
     API_VERSION,
+    DataFileFormat,
     DeviceContext,
     DeviceType,
     DwellSolver,
@@ -119,6 +120,7 @@ __all__ = [
     "ConfigError",
     "ConvolutionEffect",
     "Correction",
+    "DataFileFormat",
     "Device",
     "DeviceBusy",
     "DeviceClaimed",

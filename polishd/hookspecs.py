@@ -107,6 +107,16 @@ class DeviceContext:
 
 
 @dataclass(frozen=True, slots=True)
+class DataFileFormat:
+    """Programs whose positions are declared in a file beside them."""
+
+    find: Callable[[Path], bytes]
+    """(path of the program) -> content of the file beside it; empty: there is none."""
+    read: Callable[[bytes, str, bytes], Program]
+    """(file content, name for messages, content of the file beside it) -> Program."""
+
+
+@dataclass(frozen=True, slots=True)
 class ProgramFormat:
     """A program format: reads and rewrites programs; refuses with ProgramError, never guesses.
 
@@ -127,6 +137,22 @@ class ProgramFormat:
     made_like: Callable[[bytes, str], ProgramFormat] | None = None
     """(content of a program, name for messages) -> this format, whose ``make`` writes for the controller's tool and
     frame of that program; ProgramError where it cannot. None: programs name neither."""
+    data_file: DataFileFormat | None = None
+    """None: a program is one file."""
+
+    def read_file(self, path: Path, content: bytes) -> Program:
+        """Read a program with the file beside it. ProgramError."""
+        beside = b"" if self.data_file is None else self.data_file.find(path)
+        return self._read(content, path.name, beside)
+
+    def read_rewritten(self, program: Program, content: bytes, name: str) -> Program:
+        """Read another text of a program, with the file that was beside the first. ProgramError."""
+        return self._read(content, name, program.beside)
+
+    def _read(self, content: bytes, name: str, beside: bytes) -> Program:
+        if self.data_file is None or not beside:
+            return self.read(content, name)
+        return self.data_file.read(content, name, beside)
 
 
 NO_MAP = b"?\n"

@@ -67,6 +67,8 @@ class Program:
     """Whose axes ``start_mm``, ``end_mm`` and ``axis`` are in: the program's own, as read, or the part's."""
     timing: MoveTiming | None = None
     """Of a robot language whose moves carry their time; None: the machine's limits alone hold."""
+    beside: bytes = b""
+    """Content of the file beside the program that declares its positions; empty: none. ``sha256`` covers it."""
 
     @property
     def n(self) -> int:

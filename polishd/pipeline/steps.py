@@ -211,7 +211,7 @@ TOUCH_MISS_MM = 3.0
 
 def read_program(recipe: Recipe, path: Path) -> Program:
     """Read the job's program; ProgramError names file and line."""
-    return recipe.format.read(read_program_bytes(path), path.name)
+    return recipe.format.read_file(path, read_program_bytes(path))
 
 
 def initial_estimates(recipe: Recipe) -> EstimatesInUse:
@@ -435,7 +435,7 @@ def _change_noise_nm(recipe: Recipe) -> float | None:
 def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) -> Plan:
     """Rewrite the program, read it back from its bytes, and add its expected times and removal."""
     text = recipe.format.rewrite(program, solved.asked_s)
-    rewritten = recipe.format.read(text, name)
+    rewritten = recipe.format.read_rewritten(program, text, name)
     if rewritten.n != program.n or not np.array_equal(rewritten.end_mm, program.end_mm):
         raise ComputeError(f"{name}: the rewritten program does not read back as the same path; nothing was sent")
     expected = motion.delivered_time_s(rewritten, rewritten.time_s, envelope_of(recipe, program, solved.believed))

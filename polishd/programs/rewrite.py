@@ -20,7 +20,7 @@ from polishd.model.errors import ProgramError
 from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import AnyDialect, GcodeDialect
-from polishd.plugins.rnc_robot.formats import read, rewrite
+from polishd.plugins.rnc_robot.formats import beside_of, read, rewrite
 from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream, scan_program
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
@@ -162,7 +162,7 @@ def rewrite_file(
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
-    return _held(read(dialect, content(file), file.name), table, out, dialect, encoding, mark=mark)
+    return _held(read_program_file(dialect, file), table, out, dialect, encoding, mark=mark)
 
 
 def require_new_target(out: Path, *sources: Path) -> None:
@@ -177,6 +177,11 @@ def content(file: Path) -> bytes:
     """Bytes of a program's file; ProgramError where it cannot be read."""
     with opened(file) as source:
         return source.read()
+
+
+def read_program_file(dialect: AnyDialect, file: Path) -> Program:
+    """Read a program, with the file beside it that declares its positions. ProgramError."""
+    return read(dialect, content(file), file.name, beside_of(dialect, file))
 
 
 @contextmanager
@@ -205,10 +210,10 @@ def _held(
     times = table.take(program.n)
     table.finish()
     text = _marked(rewrite(dialect, program, times, encoding), mark)
-    proof = verify(program.text, text, dialect)
+    proof = verify(program.text, text, dialect, beside=program.beside)
     if proof.difference is not None:
         raise ProgramError(f"{program.name}: cannot be written in other words without a change: {proof.difference}.")
-    parts = [text] if isinstance(dialect, GcodeDialect) else split(dialect, text, program.name)
+    parts = [text] if isinstance(dialect, GcodeDialect) else split(dialect, text, program.name, program.beside)
     outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
     with ExitStack() as stack:  # all files are on the disk before the first gets its name
         for path, part in zip(outs, parts, strict=True):

@@ -28,12 +28,11 @@ from polishd.plugins.rnc_robot.dialect import (
     require_language,
 )
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
-from polishd.plugins.rnc_robot.formats import read
 from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, scan_program
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
 from polishd.process.toolpath.apertures import TOWARDS, Aperture
-from polishd.programs.rewrite import DwellTable, content, opened, require_new_target, rewrite_file
+from polishd.programs.rewrite import DwellTable, opened, read_program_file, require_new_target, rewrite_file
 from polishd.rendering.map_plots import path_map
 from polishd.rendering.plots import BLUE, INK, ORANGE, figure, png, polishd_style
 from polishd.rendering.terminal import emit, key_table, record_table, stderr, stdout
@@ -77,7 +76,7 @@ def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_js
         from polishd.rendering.plots import save_picture
 
         with stderr.status(f"drawing {file.name}"):
-            save_picture(picture, program_picture(read(profile, content(file), file.name)))
+            save_picture(picture, program_picture(read_program_file(profile, file)))
     emit(answer, as_json=as_json, table=lambda: _inspect_table(file.name, answer))
     if not as_json:
         _say_notes("warning", answer["warnings"])
@@ -94,7 +93,7 @@ def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
         points, total_s, (slow, fast) = found.points, found.time_s, found.feed_mm_min
         bounds = (found.low_mm, found.high_mm)
     else:
-        found = read(profile, content(file), file.name)
+        found = read_program_file(profile, file)
         points, total_s, feeds = found.n, math.fsum(found.time_s), found.feed_mm_min[np.isfinite(found.feed_mm_min)]
         slow, fast = (float(feeds.min()), float(feeds.max())) if feeds.size else (np.inf, -np.inf)
         bounds = (found.end_mm.min(axis=0), found.end_mm.max(axis=0))

@@ -96,10 +96,12 @@ class Language:
 
     title: str
     dialect: str
-    """Shipped for it; empty: polishd reads no such programs."""
+    """Shipped for it; empty: data that stand beside a program."""
     endings: tuple[str, ...]
     sign: re.Pattern[bytes]
     """At the start of a line."""
+    program: str = ""
+    """Of such data: the ending of the program."""
 
 
 def _sign(text: bytes, flags: int = re.IGNORECASE) -> re.Pattern[bytes]:
@@ -123,7 +125,7 @@ KNOWN = (
     Language("URScript", "urscript", (".script", ".urscript"), _sign(URSCRIPT, 0)),
     Language("Yaskawa INFORM", "inform", (".jbi",), _sign(rb"/JOB\b|//(?:NAME|POS|INST)\b|MOV[LJC][ \t]+[CP]\d")),
     Language("Heidenhain dialogue", "heidenhain", (".h",), _sign(HEIDENHAIN)),
-    Language("data of a Staubli VAL3 application", "", (".pjx", ".dtx"), _sign(rb"<Database\b|<Project\b")),
+    Language("data of a Staubli VAL3 application", "", (".pjx", ".dtx"), _sign(rb"<Database\b|<Project\b"), ".pgx"),
     Language("Staubli VAL3", "val3", (".pgx",), _sign(rb"<Programs?\b|<Code\b")),
     Language("MELFA-BASIC", "melfa-basic", (".prg",), _sign(rb"(?:\d+[ \t]+)?(?:Mvs|Mov|Dly|Ovrd|JOvrd)[ \t]+[\w(]")),
     Language("Kawasaki AS", "kawasaki-as", (".as", ".pg"), _sign(rb"\.(?:PROGRAM|TRANS|NETCONF)\b")),
@@ -156,8 +158,8 @@ def detect(head: bytes, name: str) -> DialectDetection:
         where = f"{name}:{line}" if line else name
         if not known.dialect:
             raise ProgramError(
-                f"{where}: the file looks like {known.title}, which polishd does not read. To do: have the program "
-                "posted as G-code, or in the language of another robot (polishd program dialects lists them)."
+                f"{where}: the file looks like {known.title}, which are no program. To do: name the {known.program} "
+                "program beside it; polishd reads the two together."
             )
         by = f"line {line} of its text" if line else "the ending of its name"
         return DialectDetection(known.dialect, f"{known.title} by {by}")
@@ -214,7 +216,7 @@ def require_language(profile: AnyDialect, head: bytes, name: str) -> None:
     advice = (
         f'use --dialect {known.dialect} (program.format = "{known.dialect}" in a cell)'
         if known.dialect
-        else "have it posted in a dialect that polishd reads (polishd program dialects lists them)"
+        else f"name the {known.program} program beside it; polishd reads the two together"
     )
     raise ProgramError(f"{name}:{line}: not {what}: the file looks like {known.title}. To do: {advice}.")
 

@@ -6,10 +6,11 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 
-from polishd.api import OwnLines, Program, ProgramError, ProgramFormat
+from polishd.api import DataFileFormat, OwnLines, Program, ProgramError, ProgramFormat
 from polishd.model.program import Encoding
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.plugins.rnc_robot import languages
@@ -17,6 +18,7 @@ from polishd.plugins.rnc_robot.dialect import (
     DEFAULT,
     DIALECTS,
     HEAD_BYTES,
+    LANGUAGES,
     AnyDialect,
     GcodeDialect,
     dialect,
@@ -298,10 +300,20 @@ def shipped(name: str) -> AnyDialect:
     return profile_of(name)
 
 
-def read(dialect: AnyDialect, text: bytes, name: str) -> Program:
-    """Read a program; ``name`` is for messages. ProgramError names the line and the reason."""
+def read(dialect: AnyDialect, text: bytes, name: str, beside: bytes = b"") -> Program:
+    """Read a program; ``name`` is for messages, ``beside`` the file that declares its positions.
+
+    ProgramError names the line and the reason.
+    """
     require_language(dialect, text[:HEAD_BYTES], name)
-    return nc.read(dialect, text, name) if isinstance(dialect, GcodeDialect) else languages.read(dialect, text, name)
+    if isinstance(dialect, GcodeDialect):
+        return nc.read(dialect, text, name)
+    return languages.read(dialect, text, name, beside)
+
+
+def beside_of(dialect: AnyDialect, path: Path) -> bytes:
+    """Content of the file beside a program that declares its positions; empty: none. ProgramError."""
+    return b"" if isinstance(dialect, GcodeDialect) else languages.beside_of(dialect, path)
 
 
 def rewrite(dialect: AnyDialect, program: Program, time_s: FloatArray, encoding: Encoding | None = None) -> bytes:
@@ -371,6 +383,16 @@ def read_shipped(name: str, text: bytes, of: str) -> Program:
     return read(shipped(name), text, of)
 
 
+def read_shipped_beside(name: str, text: bytes, of: str, beside: bytes) -> Program:
+    """As `read`, in the shipped dialect of that name."""
+    return read(shipped(name), text, of, beside)
+
+
+def beside_of_shipped(name: str, path: Path) -> bytes:
+    """As `beside_of`, in the shipped dialect of that name."""
+    return beside_of(shipped(name), path)
+
+
 def rewrite_shipped(name: str, program: Program, time_s: FloatArray, encoding: Encoding | None = None) -> bytes:
     """As `rewrite`, in the shipped dialect of that name."""
     return rewrite(shipped(name), program, time_s, encoding)
@@ -396,6 +418,9 @@ def shipped_formats() -> list[ProgramFormat]:
             partial(make_shipped, name),
             partial(find_misread_line_shipped, name),
             partial(made_like_shipped, name),
+            DataFileFormat(partial(beside_of_shipped, name), partial(read_shipped_beside, name))
+            if name in LANGUAGES
+            else None,
         )
         for name in DIALECTS
     ]
@@ -416,4 +441,5 @@ def format_of(dialect: AnyDialect) -> ProgramFormat:
         made,
         partial(find_misread_line, dialect),
         partial(format_made_like, dialect),
+        DataFileFormat(partial(beside_of, dialect), partial(read, dialect)),
     )

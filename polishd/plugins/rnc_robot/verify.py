@@ -206,9 +206,9 @@ class ProgramMotion:
     """(s, 2) byte offsets of the numbers that carry the points' time, rising."""
 
 
-def motion(dialect: AnyDialect, text: bytes, name: str) -> ProgramMotion:
+def motion(dialect: AnyDialect, text: bytes, name: str, beside: bytes = b"") -> ProgramMotion:
     """Read a program. ProgramError names the line and the reason."""
-    program = formats.read(dialect, text, name)
+    program = formats.read(dialect, text, name, beside)
     return _of_nc(program, dialect) if isinstance(dialect, GcodeDialect) else _of_language(program, dialect)
 
 
@@ -239,7 +239,7 @@ def _of_nc(program: Program, dialect: GcodeDialect) -> ProgramMotion:
 
 def _of_language(program: Program, profile: LanguageProfile) -> ProgramMotion:
     """Compare only moves with a dwell; the text comparison covers the others (their positions may be elsewhere)."""
-    timed = scan(profile, program.text, program.name).points
+    timed = scan(profile, program.text, program.name, program.beside).points
     return ProgramMotion(
         program=program,
         line=program.line,
@@ -252,7 +252,7 @@ def _of_language(program: Program, profile: LanguageProfile) -> ProgramMotion:
 
 def _of_moves(program: Program, profile: LanguageProfile) -> ProgramMotion:
     """Compare all motions: where they lead, and the speed of those that are no points."""
-    found = scan(profile, program.text, program.name, keep_columns=True)
+    found = scan(profile, program.text, program.name, program.beside, keep_columns=True)
     moves, (columns, _) = timed_moves(found), require_rules(found)
     xyz_mm, turn = locations(found, columns, np.zeros(0, dtype=np.int64))
     speed = np.array(columns.number) * np.array(columns.factor)
@@ -277,7 +277,8 @@ def _timeless_texts(
     recoded = (old.program.encoding == "dwell") != (new.program.encoding == "dwell")
     one, other = (
         timeless_lines(
-            scan(profile, side.program.text, side.program.name, keep=True, keep_columns=True), recoded=recoded
+            scan(profile, side.program.text, side.program.name, side.program.beside, keep=True, keep_columns=True),
+            recoded=recoded,
         )
         for side in (old, new)
     )
@@ -494,18 +495,29 @@ class Verification:
     """What was compared and found the same, in words; empty where motion is not proved."""
 
 
-def verify(old: bytes | Path, new: bytes | Path, dialect: AnyDialect, *, with_rs274: bool = False) -> Verification:
+def verify(
+    old: bytes | Path,
+    new: bytes | Path,
+    dialect: AnyDialect,
+    *,
+    with_rs274: bool = False,
+    beside: bytes = b"",
+) -> Verification:
     """Compare two programs of one dialect.
 
     Identical motion is claimed where (a) the texts are the same but for numbers that carry time, comments, and, after
     a change of encoding, F words and dwell blocks; (b) both read as the same moves, rapids too, bit for bit; (c) asked
     for, LinuxCNC's interpreter makes the same calls of both and sees the times that we read.
 
+    The file beside a program declares its positions; ``beside`` is its content where the programs are no files. A new
+    program without one takes the old one's.
+
     Raises:
         ProgramError: A program cannot be read; LinuxCNC is asked for and missing, or refuses.
     """
     nc = readable(dialect) if with_rs274 else None
-    one, other = (motion(dialect, *_content(program, name)) for program, name in ((old, "old"), (new, "new")))
+    one = motion(dialect, *_content(old, "old"), _beside(dialect, old) or beside)
+    other = motion(dialect, *_content(new, "new"), _beside(dialect, new) or one.program.beside)
     if not isinstance(dialect, GcodeDialect) and {one.program.encoding, other.program.encoding} != {"dwell"}:
         one, other = (_of_moves(side.program, dialect) for side in (one, other))
         listed, difference = _timeless_texts(one, other, dialect)
@@ -532,6 +544,10 @@ def _content(program: bytes | Path, name: str) -> tuple[bytes, str]:
         return program.read_bytes(), program.name
     except OSError as error:
         raise ProgramError(f"{program}: cannot be read: {error.strerror}. To do: check the path.") from error
+
+
+def _beside(dialect: AnyDialect, program: bytes | Path) -> bytes:
+    return b"" if isinstance(program, bytes) else formats.beside_of(dialect, program)
 
 
 def _texts(old: ProgramMotion, new: ProgramMotion, dialect: AnyDialect) -> tuple[tuple[LineChange, ...], str | None]:

@@ -69,8 +69,8 @@ def orientations(profile: LanguageProfile, axis: FloatArray) -> FloatArray:
     if notation.convention == "quaternion":
         return np.asarray(rotation.as_quat(canonical=True)[:, [3, 0, 1, 2]])
     if notation.convention == "euler_deg":
-        with warnings.catch_warnings():  # an upright tool may be at the angles' pole, where the third is taken as 0
-            warnings.simplefilter("ignore", UserWarning)
+        with warnings.catch_warnings():  # of an upright tool the third angle is zero where the axes are ZYZ
+            warnings.filterwarnings("ignore", message="Gimbal lock", category=UserWarning)
             return np.asarray(rotation.as_euler(notation.axes, degrees=True))
     return np.asarray(rotation.as_rotvec())
 

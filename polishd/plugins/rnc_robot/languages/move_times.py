@@ -14,7 +14,7 @@ from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.columns import NONE, StatedBy, numbers
-from polishd.plugins.rnc_robot.languages.parser import MatchedStatement, Scan, scan
+from polishd.plugins.rnc_robot.languages.parser import NOWHERE, MatchedStatement, Scan, scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
 from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, require_rules, timed_moves
 
@@ -245,11 +245,13 @@ class _Writer:
             self.seen[name], self.holds[name] = span, own if fresh else self.holds[name]
             if stays:
                 if not math.isclose(self.holds[name], own, rel_tol=1e-12):
-                    self.modal_speed(row, self.found.source.data[span[0] : span[1]], own)
+                    data = self.found.source.data
+                    text = data[slice(*span)] if span != NOWHERE else f"{columns.number[row]:.15g}".encode()
+                    self.modal_speed(row, text, own)
                 return
             number = self.speed(row, length_mm, new_s, factor)
             value = number.value * factor
-            if fresh:
+            if fresh and span != NOWHERE:
                 self.number(row, number)
                 self.holds[name] = value
             elif not math.isclose(self.holds[name], value, rel_tol=1e-12):
@@ -288,7 +290,7 @@ def rewrite_moves(profile: LanguageProfile, program: Program, time_s: FloatArray
 
     A time that stays keeps its number. Where a speed holds for several moves, a move that needs another gets its own.
     """
-    found = scan(profile, program.text, program.name)
+    found = scan(profile, program.text, program.name, program.beside)
     moves, (_, rules) = timed_moves(found), require_rules(found)
     writer = _Writer(found, rules, moves)
     for row, new_s, old_s, length in _by_row(moves, _times(program, moves.rows.size, time_s)):
@@ -336,7 +338,7 @@ def recode_moves(profile: LanguageProfile, program: Program, time_s: FloatArray,
     To a speed or a time: write it into each move, and remove the line of its wait; moves without a wait keep their
     time, and are points from then on. To waits: add a line behind each move, which keeps its speed.
     """
-    found = scan(profile, program.text, program.name, keep=True, keep_columns=True)
+    found = scan(profile, program.text, program.name, program.beside, keep=True, keep_columns=True)
     moves, (columns, rules) = timed_moves(found), require_rules(found)
     if encoding == "inverse":
         raise ProgramError(f"{program.name}: {profile.name} has no inverse time. To do: use --encoding time.")
@@ -440,12 +442,13 @@ def _renumbered(old: Scan, text: bytes) -> bytes:
     profile, rules = old.profile, old.profile.move_time
     if not any("n" in pattern.regex.groupindex for pattern in profile.patterns):
         return text
-    before = scan(profile, old.source.data, old.source.name, keep=True)
+    beside = old.source.beside
+    before = scan(profile, old.source.data, old.source.name, beside, keep=True)
     written = [
         int(before.source.data[slice(*span)] or b"0") for line in before.kept or () for span in _number_spans(line)
     ]
     first, step = (written[0], max(written[1] - written[0], 1)) if len(written) > 1 else (1, 1)
-    found, edits, number = scan(profile, text, old.source.name, keep=True), list[TextEdit](), count(first, step)
+    found, edits, number = scan(profile, text, old.source.name, beside, keep=True), list[TextEdit](), count(first, step)
     for statement in found.kept or ():
         for low, high in _number_spans(statement):
             digits = str(next(number))
@@ -507,10 +510,12 @@ def timeless_lines(found: Scan, *, recoded: bool) -> list[tuple[int, bytes]]:
 
 
 def _timing_of_moves(found: Scan) -> Iterator[TextEdit]:
-    """What states the times of the timed moves, in them."""
-    moves = timed_moves(found)
-    columns = moves.columns
-    for row in moves.rows.tolist():
+    """What states the times of the timed moves, in them; where a speed holds, that of every move.
+
+    A move that is no point states a speed anew behind one that has another now; what it is, its row says.
+    """
+    moves, (columns, rules) = timed_moves(found), require_rules(found)
+    for row in range(len(columns)) if rules.feed_holds else moves.rows.tolist():
         here, there = columns.here[row], columns.there[row]
         if here >= 0:
             yield TextEdit(here, there, TIME)

@@ -15,8 +15,9 @@ from polishd.plugins.rnc_robot.languages.columns import Convention
 
 # The notation of statement templates: ``MoveL <target>,<speed>,<zone>,<tool><? \WObj:=<frame>?>;``.
 
-NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+# Possessive: a long run of digits or letters is gone over once, however a template goes on.
+NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][-+]?[0-9]++)?+"
+NAME = r"[A-Za-z_][A-Za-z0-9_]*+"
 
 _TOKEN = re.compile(
     r"(?P<open><\?)|(?P<close>\?>)|<(?P<field>[a-z_][a-z0-9_]*)>|<(?P<choice>\w+(?:\|\w+)+)>"
@@ -85,8 +86,8 @@ def _wordy(tokens: Sequence[tuple[str, str]]) -> bool:
 
 
 Kind = Literal[
-    "move", "dwell", "dwell_in_position", "approach", "position", "speed", "neutral", "begin", "end", "run", "finish",
-    "assumed", "refused",
+    "move", "dwell", "dwell_in_position", "approach", "position", "speed", "context", "neutral", "begin", "end", "run",
+    "call", "finish", "assumed", "refused",
 ]  # fmt: skip
 TAKEN: tuple[Kind, ...] = get_args(Kind)[:-2]
 """What a language's statements may be, in the order in which their templates are tried."""
@@ -248,6 +249,31 @@ class MakeForm(_Strict):
     ending: Literal["lf", "crlf"] = "lf"
 
 
+class DataFile(_Strict):
+    """The file beside a program that declares its positions."""
+
+    ending: Annotated[str, Field(pattern=r"\.[a-z]+")]
+    any_name: bool = False
+    """It serves all programs of its folder: the only file of this ending there may have another name."""
+    form: Literal["statements", "xml"] = "statements"
+    """``statements``: lines of the language, of which those that declare a position, a speed or a tool and frame count.
+    ``xml``: ``<Data name= type=>`` with a ``<Value key= .../>`` an element."""
+    positions: list[Text] = []
+    """xml: types of positions; their values are attributes named as the fields are, 0 where they are missing."""
+    frame: str = ""
+    """xml: attribute of a position that names its frame."""
+    speeds: list[Text] = []
+    """xml: types that hold a speed under the name ``feed_of``."""
+    feed: str = ""
+    zone: str = ""
+    """xml: attributes of their speed and of their ``zone``."""
+
+    @property
+    def title(self) -> str:
+        """Its name in messages."""
+        return f"the {self.ending} file beside it"
+
+
 class Statements(_Strict):
     """Templates by what the statement is; in each list they are tried from the top."""
 
@@ -267,6 +293,8 @@ class Statements(_Strict):
     """A position declared under the name ``target``."""
     speed: Templates = []
     """A speed ``rate`` declared under the name ``feed_name``."""
+    context: Templates = []
+    """A ``tool`` and a ``frame`` declared under the name ``context_name``."""
     neutral: Templates = []
     """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves.
 
@@ -277,6 +305,8 @@ class Statements(_Strict):
     """Begin and end of a routine; there may be several, but only one may move."""
     run: Templates = []
     """The call of routine ``program``, outside of any."""
+    call: Templates = []
+    """The call of routine ``routine``, inside of one: of the routine that moves, once, or of one that does not move."""
     finish: Templates = []
     """End of the file: nothing but comments may follow."""
 
@@ -341,6 +371,8 @@ class LanguageProfile(_Strict):
     """None: only dwells carry time."""
     make: MakeForm | None = None
     """None: no programs are made in this language."""
+    data_file: DataFile | None = None
+    """None: a program is one file."""
     fields: dict[str, Text] = Field(default_factory=dict)
     """Regular expressions of the templates' fields."""
     statements: Statements
@@ -431,4 +463,8 @@ def _lacking(pattern: Pattern, place: set[str]) -> set[str]:
         return {*place, "target"} - fields
     if pattern.kind == "speed":
         return {"feed_name", "rate"} - fields
+    if pattern.kind == "context":
+        return {"context_name", "tool", "frame"} - fields
+    if pattern.kind == "call":
+        return {"routine"} - fields
     return {"time"} - fields if pattern.kind.startswith("dwell") else set()

@@ -29,13 +29,13 @@ FEW = 4
 """So many feed moves may lead in and out without a dwell, however few the points are."""
 
 
-def read(profile: LanguageProfile, text: bytes, name: str) -> Program:
-    """Read a program; ``name`` is for messages.
+def read(profile: LanguageProfile, text: bytes, name: str, beside: bytes = b"") -> Program:
+    """Read a program; ``name`` is for messages, ``beside`` the file that declares its positions.
 
     A point is a feed move with its own dwell or, where no feed move has one, a feed move that states its own time.
     ProgramError names the line, what is wrong with it and what to do.
     """
-    found = scan(profile, text, name)
+    found = scan(profile, text, name, beside)
     if not len(found.points) and found.columns is not None and found.moves:
         return _read_moves(found, timed_moves(found))
     require_points(found)
@@ -108,10 +108,11 @@ def _axes(profile: LanguageProfile, turn: FloatArray) -> FloatArray:
 
 def _program(found: Scan, **columns: Any) -> Program:
     """The program's record from its columns."""
-    text = found.source.data
+    text, beside = found.source.data, found.source.beside
     return Program(
         text=text,
-        sha256=hashlib.sha256(text).hexdigest(),
+        beside=beside,
+        sha256=hashlib.sha256(text + beside).hexdigest(),
         name=found.source.name,
         dialect=found.profile.name,
         block=columns["line"] - 1,
@@ -171,7 +172,7 @@ def rewrite(profile: LanguageProfile, program: Program, time_s: FloatArray) -> b
     """
     if program.encoding != "dwell":
         return rewrite_moves(profile, program, time_s)
-    found = scan(profile, program.text, program.name)
+    found = scan(profile, program.text, program.name, program.beside)
     require_points(found)
     points = found.points
     times = np.ascontiguousarray(time_s, dtype=np.float64)
@@ -215,14 +216,14 @@ class _Cut:
     own: list[MatchedStatement]
 
 
-def split(profile: LanguageProfile, text: bytes, name: str = "the program") -> list[bytes]:
+def split(profile: LanguageProfile, text: bytes, name: str = "the program", beside: bytes = b"") -> list[bytes]:
     """The program in parts that the controller takes; the same bytes in a list of one where it fits.
 
     Each part begins with what stood before the first motion and with the last move of the part before, so that it
     starts where that ended; it keeps the positions that it uses. From the second on, the routine is named ``NAME_2``,
     ... and numbered lines count from 1 again. ProgramError where there is no dwell to part the program after.
     """
-    found = scan(profile, text, name, keep=True)
+    found = scan(profile, text, name, beside, keep=True)
     body = _body_of(found)
     if not profile.line_limit or len(_lines(body)) <= profile.line_limit:
         return [text]

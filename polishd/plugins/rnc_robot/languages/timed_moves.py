@@ -19,7 +19,7 @@ from polishd.plugins.rnc_robot.languages.columns import (
     numbers,
     table,
 )
-from polishd.plugins.rnc_robot.languages.parser import POSTED, Scan
+from polishd.plugins.rnc_robot.languages.parser import Scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
 
 SAME_PLACE_MM = 1e-6
@@ -103,7 +103,7 @@ def _require_one_context(found: Scan, points: PointColumns | MoveColumns, wanted
     if lost < len(points):
         name = points.targets.values()[points.target[lost]]
         raise found.refuse_line(
-            points.move_line[lost], f"the position {name} is not declared as a constant in this file", POSTED
+            points.move_line[lost], f"the position {name} is not declared as a constant in this file", found.undeclared
         )
 
 
@@ -143,6 +143,12 @@ def timed_moves(found: Scan) -> TimedMoves:
     ProgramError at the first feed move whose time is not known, and at arcs that carry their time.
     """
     columns, rules = require_rules(found)
+    if found.slowed_line:
+        raise found.refuse_line(
+            found.slowed_line,
+            "an override that is not 100 %: the moves do not take the time that they state",
+            "have it posted with an override of 100 %, or with waits",
+        )
     stated, number, factor = numbers(columns.stated), np.array(columns.number), np.array(columns.factor)
     feed = np.where(stated > StatedBy.TIME, number * factor, np.nan)
     with np.errstate(invalid="ignore"):
@@ -160,6 +166,9 @@ def timed_moves(found: Scan) -> TimedMoves:
     )
     zero = timed & ~dwelled & (stated > StatedBy.TIME) & (feed <= 0)
     _refuse_first(found, columns, zero, "a speed of zero", "correct it")
+    given = np.where(stated == StatedBy.TIME, number * factor, 1.0)
+    wrong = timed & ~dwelled & ~((given > 0) & np.isfinite(given))
+    _refuse_first(found, columns, wrong, "the time of a move is a number of seconds above zero", "correct it")
     rows = np.flatnonzero(timed)
     with np.errstate(invalid="ignore", divide="ignore"):
         time_s = np.where(stated == StatedBy.TIME, number * factor, 60 * length / feed)

@@ -63,7 +63,7 @@ def test_signs(head: bytes, name: str, found: str) -> None:
         (
             b"<?xml version='1.0'?>\n<Database>\n",
             "a.dtx",
-            "a.dtx:2: the file looks like data of a Staubli VAL3 application, which polishd does not read",
+            "a.dtx:2: the file looks like data of a Staubli VAL3 application, which are no program.*name the .pgx",
         ),
         (b"", "a.pjx", "a.pjx: the file looks like data of a Staubli"),
         (

@@ -130,17 +130,22 @@ TIME = {
     "urscript": re.compile(rb"(\bsleep\s*\(\s*)" + _NUMBER),
     "inform": re.compile(rb"(\bTIMER\s*T=\s*)" + _NUMBER),
     "val3": re.compile(rb"(\bdelay\s*\(\s*)" + _NUMBER),
-    "heidenhain": re.compile(rb"(?i)(\bFUNCTION\s+DWELL\s+TIME\s*|\bCYCL\s+DEF\s+9\.1\D*\s)" + _NUMBER),
+    "heidenhain": re.compile(rb"(?i)(\bFUNCTION\s+DWELL\s+TIME\s*|\bCYCL\s+DEF\s+9\.1\D*)" + _NUMBER),
     "melfa-basic": re.compile(rb"(?i)(\bDly\s*)" + _NUMBER),
     "kawasaki-as": re.compile(rb"(?i)(\bTWAIT\s*)" + _NUMBER),
 }
 SPEED = {
-    "rapid": re.compile(rb"\\[VT]:=" + _NUMBER + rb"|(?<=\[)" + _NUMBER + rb"(?=(?:,[-+.\d]+){3}\])", re.IGNORECASE),
-    "krl": re.compile(rb"(?im)^[ \t]*\$VEL\.CP[ \t]*=[ \t]*" + _NUMBER + rb"[ \t]*\r?\n|(?<=CP=)" + _NUMBER),
+    "rapid": re.compile(
+        rb"\\\s*[VT]\s*:\s*=\s*" + _NUMBER + rb"|(?<=\[)" + _NUMBER + rb"(?=(?:,[-+.\d]+){3}\])", re.IGNORECASE
+    ),
+    "krl": re.compile(
+        rb"(?im)^[ \t]*\$VEL\.CP[ \t]*=[ \t]*" + _NUMBER + rb"[ \t]*\r?\n"
+        rb"|(?:CP\s*=|SVEL_CP\(|CP_PARAMS,)\s*" + _NUMBER
+    ),
     "fanuc-tp": re.compile(_NUMBER + rb"\s*(?:mm/sec|cm/min|inch/min|sec)"),
     "urscript": re.compile(rb",\s*[vt]\s*=\s*" + _NUMBER + rb"|(?<=[,\s])" + _NUMBER),
-    "inform": re.compile(rb"\bVR?=" + _NUMBER),
-    "val3": re.compile(rb"(?m)^[ \t]*\w+\.tvel=" + _NUMBER + rb"[ \t]*\r?\n|(?<=tvel=)" + _NUMBER),
+    "inform": re.compile(rb"\bVR?\s*=\s*" + _NUMBER),
+    "val3": re.compile(rb"(?m)^[ \t]*\w+(?:\[\d+\])?\.tvel=" + _NUMBER + rb"[ \t]*\r?\n|(?<=tvel=)" + _NUMBER),
     "heidenhain": re.compile(rb"(?i)\s*\bF\s*" + _NUMBER),
     "melfa-basic": re.compile(rb"(?im)^[ \t]*(?:\d+[ \t]+)?Spd[ \t]*" + _NUMBER + rb"[ \t]*\r?\n|(?<=Spd )" + _NUMBER),
     "kawasaki-as": re.compile(

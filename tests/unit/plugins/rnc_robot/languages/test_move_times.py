@@ -226,6 +226,7 @@ REFUSED = [
         "speed of this move is no number",
     ),
     ("urscript", b"  movel(p1, v=0.3)\n  movel(p[0.1,0,0,0,3.1,0], a=1)\n", 5, "speed of this move is no number"),
+    ("urscript", b"  movel(p1, v=0.3)\n  movel(p[0.1,0,0,0,3.1,0], t=-0.2)\n", 5, "a number of seconds above zero"),
     ("inform", b"MOVL C00001 V=300.0\nMOVL C00001 V=I001\n", 5, "not read"),
     ("val3", b"movel(p1,tTool,mPol)\nmPol.tvel=nSpeed\n", 5, "assignments are not read"),
     ("val3", b"movel(p1,tTool,mPol)\ndelay(0.5)\n", 5, "delay does not wait"),
