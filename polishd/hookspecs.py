@@ -89,6 +89,8 @@ class OwnLines:
     """Dwell lines, by their time in s."""
     stops: Sequence[str]
     """Lines that stop the robot or end the program."""
+    format: str = ""
+    """The only program format that they go with, as they call programs of the controller; empty: ``misreads`` judges."""
 
 
 @dataclass(frozen=True, slots=True)
