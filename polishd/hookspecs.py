@@ -90,7 +90,7 @@ class OwnLines:
     stops: Sequence[str]
     """Lines that stop the robot or end the program."""
     format: str = ""
-    """The only program format that they go with, as they call programs of the controller; empty: ``misreads`` judges."""
+    """The only format that they go with, if they call programs of the controller. Empty: ``misreads`` judges."""
 
 
 @dataclass(frozen=True, slots=True)

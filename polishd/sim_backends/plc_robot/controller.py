@@ -1,8 +1,9 @@
 """The controller: variables in, motion, variables out. Pure of I/O except for the file; the caller passes wall times.
 
-It reads a file by its ending: .JBI is INFORM, .pgx is VAL3, any other is RNC blocks. On the load command it reads the file, a part in each cycle: the cycle time does not depend on the program's length. It
-updates its outputs once every report, and stops when no client counts the heartbeat up. An operator at the controller
-may hold the feed; motion continues when the operator releases it.
+It reads a file by its ending: .JBI is INFORM, .pgx is VAL3, any other is RNC blocks. On the load command it reads the
+file, a part in each cycle: the cycle time does not depend on the program's length. It updates its outputs once every
+report, and stops when no client counts the heartbeat up. An operator at the controller may hold the feed; motion
+continues when the operator releases it.
 """
 
 from __future__ import annotations

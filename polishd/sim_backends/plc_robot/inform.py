@@ -1,7 +1,7 @@
 """INFORM jobs (.JBI) of the simulated controller, by a reader of its own.
 
-It reads positions under ``///RECTAN``, MOVL with V in mm/s, MOVJ, TIMER, PAUSE, NOP, END and comments; DOUT, AOUT, PULSE,
-MSG and CNVRT change nothing. It shows the instruction in motion, counted from NOP, which is 0.
+It reads positions under ``///RECTAN``, MOVL with V in mm/s, MOVJ, TIMER, PAUSE, NOP, END and comments; DOUT, AOUT,
+PULSE, MSG and CNVRT change nothing. It shows the instruction in motion, counted from NOP, which is 0.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class InformReader(LanguageReader):
 
     @staticmethod
     def inserted(lines: Sequence[bytes]) -> list[int]:
-        """See LanguageReader: all pauses, and up to two waits directly before the first one. Jobs of others have none."""
+        """See LanguageReader: pauses, and up to two waits directly before the first one. Other jobs have no pauses."""
         texts = [line.strip() for line in lines]
         pauses = [at for at, text in enumerate(texts) if text == b"PAUSE"]
         if not pauses:

@@ -120,7 +120,7 @@ class LanguageReader(ABC):
 
 
 def tags_of(text: str, known: Mapping[str, str]) -> dict[str, str]:
-    """Return ``KEY=value`` pairs; ProgramError for one that is not known, or twice there. Values of ``known``: meanings."""
+    """Return ``KEY=value`` pairs, with keys of ``known``, which has their units; ProgramError for any other."""
     found: dict[str, str] = {}
     for item in text.split():
         key, equals, value = item.partition("=")
