@@ -189,6 +189,8 @@ class ProgramTable(ConfigSection):
     """Step of the time in `dwell`, which is a multiple of it."""
     end: str = "M2"
     """Line after a program without M2, M30 or a closing `%`. Empty: none, as in languages other than G-code."""
+    line_end: Literal["lf", "crlf"] = "lf"
+    """End of the file's lines."""
     longest_line: Annotated[int, Field(ge=8, le=65535)] = 250
     """Longest line that the controller reads. [byte]"""
 

@@ -76,8 +76,11 @@ def write_language_cell(out: Path, language: str, encoding: EncodingOption, **jo
     files = write_files(out, "opcua", 14.0, **job)
     profile = (CONTROLLER_PROFILE_DIR / f"{LANGUAGES[language]}.toml").read_text()
     (files.out / "controller.toml").write_text(
-        profile.replace("watchdog_s = 8.0\nsilence_s = 2.0", "watchdog_s = 20.0\nsilence_s = 6.0")
+        profile.replace("watchdog_s = 8.0\nsilence_s = 2.0", "watchdog_s = 20.0\nsilence_s = 6.0").replace(
+            "report_ms = 50.0", "report_ms = 20.0"
+        )
     )
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"overhead_s": 0.004}}))  # a move and a wait
     cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language}"')
     files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}}))
     config = load_config(files.cell)

@@ -351,6 +351,8 @@ OTHER_LANGUAGES = (
 )  # fmt: skip
 CONTROLLER_LANGUAGES: Mapping[str, str] = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
 """Languages that the simulated controller of plc_robot reads over opcua, with the profile of its variables."""
+MOST_REPORT_MS = 160.0
+"""Process time between two reports of a simulated controller up to which stops are seen soon enough."""
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
 FIRST_REGISTER = 24
@@ -456,6 +458,10 @@ def _plc_robot(draft: RehearsalDraft, device: str) -> None:
         raise draft.config.error(
             f"{device}.profile", f"the simulated controller reads {language!r} over {usual.link} only. Post it as rs274"
         )
+    speed = min(draft.sim["plant"]["speed"][0], round(MOST_REPORT_MS / profile.report_ms, 1))
+    draft.put(
+        "plant", "speed", speed, f"--speed: reports every {profile.report_ms:g} ms of wall time are late by as much"
+    )
     if profile.variables != usual.variables or profile.program != usual.program:
         draft.files["controller.toml"] = _with_its_times(profile, usual)
         why = f"{options['profile']}: the simulated controller has the variables of {named}, and the times of"

@@ -46,9 +46,8 @@ class PlcProgramFile(ProgramFile):
         proof_s: Sequence[float] = (),
         pause_at_end: bool = False,
     ) -> None:
-        cr = b"\r" if blocks and blocks[0].endswith(b"\r") else b""
-        pause = table.pause.encode() + cr
-        dwells = [table.dwell.format(seconds=seconds).encode() + cr for seconds in proof_s]
+        pause = table.pause.encode()
+        dwells = [table.dwell.format(seconds=seconds).encode() for seconds in proof_s]
         stops = list(stops)
         first = min((stop for stop in stops if stop > 0), default=0)
         numbered = line.counts == "n_words"
@@ -63,6 +62,8 @@ class PlcProgramFile(ProgramFile):
             lambda end: own(end, pause) if pause_at_end else [],
             table.end.encode(),
         )
+        if table.line_end == "crlf":
+            self.text = b"\r\n".join([*self.lines, b""])
         self.end = max(self.pauses.values()) if pause_at_end else None
         """Number of blocks executed at the pause before the end; None without a pause."""
         proved = self.stops[:1] == (first,)

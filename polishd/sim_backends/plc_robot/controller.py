@@ -47,7 +47,7 @@ class PlcProgram:
     @classmethod
     def of(cls, text: bytes, language: type[LanguageReader] | None = None) -> PlcProgram:
         """Parse the text."""
-        lines = text.removesuffix(b"\n").split(b"\n")
+        lines = text.removesuffix(b"\n").removesuffix(b"\r").split(b"\n")
         if language is None:
             inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]
         else:

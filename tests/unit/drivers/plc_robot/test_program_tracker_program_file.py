@@ -77,14 +77,14 @@ def test_each_line_of_the_program_is_its_own_block(count: int, stops: set[int], 
             assert blocks[file.block_at(file.line_of(index + 1))] == text
 
 
-JOB = [b"/JOB\r", b"//NAME M2\r", b"NOP\r", b"MOVL C00001 V=10.0 PL=0\r", b"MOVL C00002 V=10.0 PL=0\r", b"END\r"]
-NO_END = ProgramTable(pause="PAUSE", dwell="TIMER T={seconds:.2f}", dwell_step_s=0.01, end="")
+JOB = [b"/JOB", b"//NAME M2", b"NOP", b"MOVL C00001 V=10.0 PL=0", b"MOVL C00002 V=10.0 PL=0", b"END"]
+NO_END = ProgramTable(pause="PAUSE", dwell="TIMER T={seconds:.2f}", dwell_step_s=0.01, end="", line_end="crlf")
 
 
-def test_a_job_is_counted_from_its_first_instruction_and_keeps_its_line_ends() -> None:
+def test_a_job_is_counted_from_its_first_instruction_and_has_its_controllers_line_ends() -> None:
     """And a name that looks like the end of G-code ends nothing."""
     file = PlcProgramFile(JOB, (4,), NO_END, line=line(first=0, starts_at="NOP"), proof_s=(0.25,))
-    assert file.text.split(b"\n") == [*JOB[:4], b"TIMER T=0.25\r", b"PAUSE\r", *JOB[4:], b""]
+    assert file.text.split(b"\r\n") == [*JOB[:4], b"TIMER T=0.25", b"PAUSE", *JOB[4:], b""]
     assert [file.line_of(shown) for shown in (0, 1, 2, 3, 5)] == [3, 4, 5, 6, 8]
     assert file.line_of(9) == 8
     with pytest.raises(DeviceRefused, match="the file has no line NOP"):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from polishd.config.controller_profile import load_controller_profile
+from polishd.drivers.plc_robot.program_tracker import PlcProgramFile
 from polishd.model.errors import ProgramError
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.languages.make import PathTimes, language_program
@@ -134,6 +137,18 @@ def test_lines_of_polishd_are_no_blocks_of_the_program(kind: type[LanguageReader
     assert b"  delay(0.5)" not in added
     assert b"TIMER T=0.50" not in added
     assert program.blocks == len(program.lines) - 4
+
+
+def test_a_delivered_job_is_the_program_that_was_planned() -> None:
+    """By its hash: the driver's lines are taken out again, and line ends stay."""
+    planned = JOB.replace(b"\n", b"\r\n").replace(b"TIMER T=0.30\r\nTIMER T=0.40\r\nPAUSE\r\n", b"")
+    planned = planned.replace(b"PAUSE\r\n", b"")
+    lines = [line.rstrip(b"\r") for line in planned.split(b"\n")]
+    at = lines.index(b"MOVL C00002 V=10.0 PL=1")
+    profile = load_controller_profile("yaskawa-inform", Path())
+    file = PlcProgramFile(lines, (at, at + 2), profile.program, line=profile.variables.line, proof_s=(0.3, 0.4))
+    assert PlcProgram.of(file.text, InformReader).sha256 == hashlib.sha256(planned).hexdigest()
+    assert file.text.removesuffix(b"\r\n") == JOB.replace(b"\n", b"\r\n")
 
 
 @pytest.mark.parametrize(
