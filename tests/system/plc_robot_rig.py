@@ -74,6 +74,7 @@ LANGUAGES = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
 def write_language_cell(out: Path, language: str, encoding: EncodingOption, **job: Any) -> DemoFiles:
     """The demo's files with a small part, and a program in that language on its controller."""
     files = write_files(out, "opcua", 14.0, **job)
+    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": {"pv_nm": 500.0, "rms_nm": 100.0}}))
     profile = (CONTROLLER_PROFILE_DIR / f"{LANGUAGES[language]}.toml").read_text()
     (files.out / "controller.toml").write_text(
         profile.replace("watchdog_s = 8.0\nsilence_s = 2.0", "watchdog_s = 20.0\nsilence_s = 6.0").replace(
@@ -82,7 +83,7 @@ def write_language_cell(out: Path, language: str, encoding: EncodingOption, **jo
     )
     files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"overhead_s": 0.004}}))  # a move and a wait
     cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language}"')
-    files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}}))
+    files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}, "part": {"edge_mm": 1.0}}))
     config = load_config(files.cell)
     dwell_s = 0.1 if encoding == "dwell" else None
     options = MakeOptions(

@@ -20,8 +20,10 @@ from tests.system.test_kuka_kvp import robot_pid
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
-ONE_PASS = {"tolerance_nm": 9.0, "max_cycles": 1}
-"""Of 17 nm that the part begins with."""
+FAR = 320
+"""Lines of the file: its head and the approach, and some of the pass."""
+ONE_PASS = {"tolerance_nm": 50.0, "max_cycles": 1}
+"""Of 100 nm that the part begins with."""
 
 
 def require_agreement_of_points(files: DemoFiles) -> None:
@@ -63,7 +65,7 @@ def test_an_emergency_stop_in_contact_takes_the_tool_off(
     files = write_language_cell(tmp_path / "cell", language, encoding, **ONE_PASS)
     with running(files, 2.0):
         with Daemon(files, "--no-hold") as daemon:
-            daemon.wait_in_contact(20)
+            daemon.wait_in_contact(FAR)
             os.kill(robot_pid(files), signal.SIGUSR1)
             assert daemon.wait() in (5, 7), daemon.output.read_text()
             assert "emergency stop" in daemon.output.read_text()

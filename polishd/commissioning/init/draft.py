@@ -122,7 +122,7 @@ class CellDraft:
 
     @property
     def arm(self) -> str | None:
-        """The known arm: the one that is answered, or the usual one of the maker if nothing is said of the arm."""
+        """The known arm: the one that is answered, or the usual one of the maker without an answer."""
         arm, kinematics = self.answers.own.kinematics.arm, self.answers.cell.get("kinematics", {})
         if arm is None and self.maker is not None and "type" not in kinematics:
             return next(iter(self.maker.arms), None)

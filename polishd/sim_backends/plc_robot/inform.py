@@ -1,4 +1,4 @@
-"""INFORM jobs (.JBI) of the simulated controller, by a reader of its own.
+"""INFORM jobs (.JBI) of the simulated controller: a reader apart from the plugin's.
 
 It reads positions under ``///RECTAN``, MOVL with V in mm/s, MOVJ, TIMER, PAUSE, NOP, END and comments; DOUT, AOUT,
 PULSE, MSG and CNVRT change nothing. It shows the instruction in motion, counted from NOP, which is 0.

@@ -1,4 +1,4 @@
-"""VAL3 programs (.pgx) of the simulated controller, by a reader of its own.
+"""VAL3 programs (.pgx) of the simulated controller: a reader apart from the plugin's.
 
 It reads positions as ``p.trsf={...}``, movel and movej, ``mdesc.tvel`` and ``mdesc.blend``, waitEndMove and delay, and
 the calls of polPause and polDwell that polishd adds. It shows how many moves and calls began (getMoveId counts moves).

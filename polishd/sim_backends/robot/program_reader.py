@@ -159,7 +159,7 @@ def _words(line: bytes) -> list[tuple[str, float]]:
 # The intake of a program: each block is read, checked and hashed before it is accepted.
 
 
-class LineReader(Protocol):
+class BlockReader(Protocol):
     """Reader of one program, line by line."""
 
     def read(self, line: bytes) -> SimProgramBlock:
@@ -182,10 +182,10 @@ class Intake:
     pose: Pose
     asked_from: int = -1
     """Block of the pending RESEND request."""
-    reader: LineReader | None = None
+    reader: BlockReader | None = None
     """Reader of the program's language; None: RNC blocks."""
     _refusal: tuple[str, str] | None = None
-    _reader: LineReader = field(init=False)
+    _reader: BlockReader = field(init=False)
     _hash: Any = field(default_factory=hashlib.sha256)
 
     def __post_init__(self) -> None:
