@@ -27,7 +27,10 @@ ONE_PASS = {"tolerance_nm": 50.0, "max_cycles": 1}
 
 
 def require_agreement_of_points(files: DemoFiles) -> None:
-    """What the journal says of each point, a move and its wait, is what the plant saw: within a tenth of a second."""
+    """What the journal says of a point, a move and its wait, is what the plant saw.
+
+    The controller says when each line began. Only points that end between two reports share their time by the plan.
+    """
     config, hooks = load_cell(files.cell)
     program = hooks.program_formats()[config.program.format].read(config.program_path.read_bytes(), "program")
     (one,) = passes(files.state_dir / "journal.sqlite")
@@ -35,8 +38,9 @@ def require_agreement_of_points(files: DemoFiles) -> None:
     seen_s, edges = np.array(book["contact_s"])[: len(one.run_s)], [program.block[0] - 1, *program.block]
     ours, plants = (np.diff(np.cumsum(times_s)[edges]) for times_s in (np.nan_to_num(one.run_s), seen_s))
     assert (one.touched[program.block] == 1).all()
-    np.testing.assert_allclose(ours, plants, atol=0.1)
-    assert ours.sum() == pytest.approx(plants.sum(), abs=0.05)
+    assert np.median(np.abs(ours - plants)) < 1e-3
+    assert np.quantile(np.abs(ours - plants), 0.95) < 0.1
+    assert ours.sum() == pytest.approx(plants.sum(), abs=0.01)
 
 
 @pytest.mark.parametrize(
