@@ -361,7 +361,7 @@ class Job:
         """(n,) the same, s; and (n,) the same, weighted by the measured force and speed, s."""
         record = next((one for one in self.journal.passes if one.cycle == cycle), None)
         turn = self.tools.now if record is None else self.tools.of(record)
-        planned = self._planned.get(cycle) or (None if record is None else self._plan_of(record))
+        planned = self._planned.get(cycle) or (self._plan_of(record) if record is not None and record.plan else None)
         blocks = self.journal.executed(cycle)
         # new times may have brought new lines: what ran are the blocks of the plan, not of the program before it
         point = turn.program.block if planned is None else planned.block
