@@ -90,6 +90,8 @@ class OwnLines:
     """Dwell lines, by their time in s."""
     stops: Sequence[str]
     """Lines that stop the robot or end the program."""
+    format: str = ""
+    """The only format that they go with, if they call programs of the controller. Empty: ``misreads`` judges."""
 
 
 @dataclass(frozen=True, slots=True)

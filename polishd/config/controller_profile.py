@@ -71,12 +71,27 @@ class LineVariable(Variable):
     shows: Literal["executed", "interpreted"]
     """`executed`: the block that moves now. `interpreted`: the block that is read now, an unknown number of blocks
     ahead of the motion; such a profile is refused."""
-    counts: Literal["lines", "n_words"] = "lines"
-    """Lines of the file, or the N words in it, which must increase."""
+    counts: Literal["lines", "n_words", "statements"] = "lines"
+    """Lines of the file, the N words in it, which must increase, or the statements that begin as in `counted`."""
     first: Annotated[int, Field(ge=0, le=1)] = 1
-    """The number of the file's first line. [1]"""
+    """The number of the file's first line, or of its first statement. [1]"""
+    starts_at: str = ""
+    """Of `lines`: text of the line that is the first one, such as NOP; the lines above it are not counted. Empty: the
+    file's first line."""
+    counted: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
+    """Of `statements`: beginnings of the lines that count, without leading blanks."""
     stamped: bool = False
     """Its time stamp (opcua) is the time of the change, not the time of the read request."""
+
+    @model_validator(mode="after")
+    def _countable(self) -> Self:
+        if (self.counts == "statements") != bool(self.counted):
+            raise ValueError('counted: goes with counts = "statements"; set both, or neither')
+        if not all(self.counted):
+            raise ValueError("counted: an empty text begins every line; name the statements")
+        if self.starts_at and self.counts != "lines":
+            raise ValueError('starts_at: goes with counts = "lines"; remove it')
+        return self
 
 
 class StateVariable(Variable):
@@ -158,14 +173,24 @@ class VariablesTable(ConfigSection):
 class ProgramTable(ConfigSection):
     """Format of programs for the controller. polishd adds lines to the file only out of contact."""
 
+    language: str = ""
+    """Of lines that call programs of the controller, which no dialect knows: the only `program.format` that goes with
+    them. Empty: the cell's dialect must read them as a dwell and a stop."""
     file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=24)] = "polishd.nc"
     """Name of the delivered file."""
+    renames: bool = True
+    """By ftp: deliver under another name, compare the size, rename. False: the controller takes files of its programs
+    only, and loads each as it arrives."""
     pause: Text = "M0"
     """Line that stops the program until the next start."""
     dwell: Text = "G4 P{seconds:.3f}"
     """Line that waits `{seconds}` at rest. It shows which line the controller reports."""
+    dwell_step_s: Positive = 0.001
+    """Step of the time in `dwell`, which is a multiple of it."""
     end: str = "M2"
     """Line after a program without M2, M30 or a closing `%`. Empty: none, as in languages other than G-code."""
+    line_end: Literal["lf", "crlf"] = "lf"
+    """End of the file's lines."""
     longest_line: Annotated[int, Field(ge=8, le=65535)] = 250
     """Longest line that the controller reads. [byte]"""
 
@@ -214,6 +239,10 @@ class ControllerProfile(TomlDocument):
 
     @model_validator(mode="after")
     def _watched(self) -> Self:
+        if not self.program.end and not self.variables.state.done:
+            raise ValueError(
+                "program.end: is empty, so the end of a program must be visible; add done = [...] to [variables.state]"
+            )
         if (self.watchdog_s is None) != (self.variables.heartbeat is None):
             raise ValueError("watchdog_s: set it together with [variables.heartbeat], or leave out both")
         for name in ("line_began", "state_began"):

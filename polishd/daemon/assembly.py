@@ -162,16 +162,20 @@ def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program
     kind, options = device_options(config, name, hooks.device_types())
     if kind.takes is not None and (why := kind.takes(program.blocks)):
         raise config.error("program.format", f"{program.name}: {name} ({kind.name}) does not take it: {why}")
+    if kind.own_lines is None:
+        return
     misreads = hooks.program_formats()[config.program.format].misreads
-    if kind.own_lines is not None and misreads is not None:
-        lines = kind.own_lines(options, _context(config, hooks))
-        if wrong := misreads(lines):
-            raise config.error(
-                "program.format",
-                f"{config.program.format!r} does not go with {lines.source}: {name} ({kind.name}) adds lines to the "
-                f"program, and {wrong}. Set the format in which the controller reads programs, or name a controller "
-                "profile whose [program] pause, dwell and end are written in this one",
-            )
+    lines = kind.own_lines(options, _context(config, hooks))
+    wrong = misreads(lines) if misreads is not None and not lines.format else ""
+    if lines.format not in ("", config.program.format):
+        wrong = f"they are lines of {lines.format!r}"
+    if wrong:
+        raise config.error(
+            "program.format",
+            f"{config.program.format!r} does not go with {lines.source}: {name} ({kind.name}) adds lines to the "
+            f"program, and {wrong}. Set the format in which the controller reads programs, or name a controller "
+            "profile whose [program] pause, dwell and end are written in this one",
+        )
 
 
 def _of_role(cell: Cell, key: str) -> str:

@@ -476,7 +476,11 @@ def envelope_of(recipe: Recipe, program: Program, believed: EstimatesInUse | Non
             f"machine runs {envelope.min_feed_mm_s:g} to {envelope.max_feed_mm_s:g} mm/s. "
             "Correct [machine] of the cell, or move_time of the dialect's profile."
         )
-    return replace(envelope, min_feed_mm_s=least, max_feed_mm_s=greatest)
+    if program.encoding == "time" and program.length_mm.any():
+        # a written time is within one step of the wanted one, which must not make a move faster than the machine
+        shortest_mm = float(program.length_mm[program.length_mm > 0.0].min())
+        greatest = shortest_mm / (shortest_mm / greatest + timing.resolution_s)
+    return replace(envelope, min_feed_mm_s=least, max_feed_mm_s=max(greatest, least))
 
 
 def violations(recipe: Recipe, plan: Plan) -> list[str]:

@@ -12,6 +12,9 @@ from urllib.parse import urlsplit
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
+from polishd.plugin_loader import plugins_of
+from polishd.programs.make import make_program
+from polishd.programs.options import EncodingOption, MakeOptions
 from tests.system.cell_rig import PATIENT, with_keys, with_part, without, write_small
 
 Kind = Literal["opcua", "ads", "modbus"]
@@ -62,3 +65,29 @@ def running(files: DemoFiles, speed: float) -> Iterator[DemoFiles]:
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
+
+
+LANGUAGES = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
+"""Shipped profiles by the language of their programs."""
+
+
+def write_language_cell(out: Path, language: str, encoding: EncodingOption, **job: Any) -> DemoFiles:
+    """The demo's files with a small part, and a program in that language on its controller."""
+    files = write_files(out, "opcua", 14.0, **job)
+    files.sim.write_text(with_keys(files.sim.read_text(), {"plant": {"pv_nm": 500.0, "rms_nm": 100.0}}))
+    profile = (CONTROLLER_PROFILE_DIR / f"{LANGUAGES[language]}.toml").read_text()
+    (files.out / "controller.toml").write_text(
+        profile.replace("watchdog_s = 8.0\nsilence_s = 2.0", "watchdog_s = 20.0\nsilence_s = 6.0").replace(
+            "report_ms = 50.0", "report_ms = 20.0"
+        )
+    )
+    files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"overhead_s": 0.004}}))  # a move and a wait
+    cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language}"')
+    files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}, "part": {"edge_mm": 1.0}}))
+    config = load_config(files.cell)
+    dwell_s = 0.1 if encoding == "dwell" else None
+    options = MakeOptions(
+        "raster", config.program_path, encoding=encoding, dwell_s=dwell_s, feed_mm_min=300.0, step_mm=1.0, pitch_mm=1.0
+    )
+    config.program_path.write_bytes(make_program(options, config, plugins_of(config)).text)
+    return files

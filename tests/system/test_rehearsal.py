@@ -69,6 +69,16 @@ def kuka(out: Path) -> DemoFiles:
     return kuka_rig.write_files(out, tolerance_nm=40.0, max_cycles=3)
 
 
+def yaskawa(out: Path) -> DemoFiles:
+    """A Yaskawa controller: INFORM jobs, each move with its wait."""
+    return plc_robot_rig.write_language_cell(out, "inform", "dwell", tolerance_nm=40.0, max_cycles=3)
+
+
+def staubli(out: Path) -> DemoFiles:
+    """A Staubli controller: VAL3 programs with speeds."""
+    return plc_robot_rig.write_language_cell(out, "val3", "feed", tolerance_nm=40.0, max_cycles=3)
+
+
 @contextlib.contextmanager
 def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
     """The rehearsal of a cell, its simulator running."""
@@ -85,7 +95,7 @@ def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
             simulator.communicate(timeout=SOON_S)  # until all that it started is gone
 
 
-@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka])
+@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka, yaskawa, staubli])
 def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(tmp_path: Path, make: Maker) -> None:
     real = make(tmp_path / "cell")
     before = {path: path.read_bytes() for path in real.out.rglob("*") if path.is_file()}

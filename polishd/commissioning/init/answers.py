@@ -2,77 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from polishd.config.fields import Angle, ConfigSection, Positive, Text
+from polishd.commissioning.init.arms import ARMS
+from polishd.commissioning.init.makers import FRAMES, MAKERS, FrameForm
+from polishd.config.fields import Angle, ConfigSection, Positive, Text, as_tuple
 from polishd.config.toml_loader import TomlDocument, TomlSource, did_you_mean, join_words, load_toml, loads_toml
-
-# Six-axis arms whose makers publish their Denavit-Hartenberg rows.
-
-UR = "Universal Robots, 'DH Parameters for calculations of kinematics and dynamics'"
-GIVES_MM_PER_N = 1e-3
-"""Deflection of the outstretched arm's tip by an unmeasured joint: less than that of any arm."""
-UNKNOWN_N_MM_PER_RAD = 1e9
-"""Joint stiffness of an arm without known rows, for a reach of 1 m."""
-
-
-@dataclass(frozen=True, slots=True)
-class ArmModel:
-    """A maker's arm."""
-
-    title: str
-    dh: tuple[tuple[float, float, float, float], ...]
-    """Rows ``(a_mm, alpha_deg, d_mm, theta_zero_deg)``, base to flange, the standard convention."""
-    home_deg: tuple[float, ...]
-    """Joint angles at which the flange looks down, well away from singular poses."""
-    turn_deg: float
-    """Range of each joint to either side, deg."""
-    source: str
-
-    def keys(self) -> Mapping[str, Any]:
-        """Return its keys of [kinematics]."""
-        return {
-            "type": "serial",
-            "dh": self.dh,
-            "joint_limits_deg": ((-self.turn_deg, self.turn_deg),) * len(self.dh),
-            "home_deg": self.home_deg,
-        }
-
-
-def as_if_rigid(dh: Sequence[Sequence[float]], tool_length_mm: float) -> tuple[float, ...]:
-    """Return joint stiffnesses, N mm/rad, of an arm with these rows and unmeasured stiffness."""
-    reach_mm = sum(math.hypot(row[0], row[2]) for row in dh) + tool_length_mm
-    return (float(f"{reach_mm**2 / GIVES_MM_PER_N:.2g}"),) * len(dh)
-
-
-def _universal_robots(model: str, *lengths_mm: float) -> ArmModel:
-    """Its rows from the six lengths in which its arms differ: d1, a2, a3, d4, d5, d6."""
-    d1, a2, a3, d4, d5, d6 = lengths_mm
-    rows = (
-        (0.0, 90.0, d1, 0.0),
-        (a2, 0.0, 0.0, 0.0),
-        (a3, 0.0, 0.0, 0.0),
-        (0.0, 90.0, d4, 0.0),
-        (0.0, -90.0, d5, 0.0),
-        (0.0, 0.0, d6, 0.0),
-    )
-    return ArmModel(f"Universal Robots {model}", rows, (0.0, -110.0, 110.0, -90.0, -90.0, 0.0), 360.0, UR)
-
-
-ARMS: Mapping[str, ArmModel] = {
-    "ur5": _universal_robots("UR5", 89.159, -425.0, -392.25, 109.15, 94.65, 82.3),
-    "ur10": _universal_robots("UR10", 127.3, -612.0, -572.3, 163.941, 115.7, 92.2),
-    "ur5e": _universal_robots("UR5e", 162.5, -425.0, -392.2, 133.3, 99.7, 99.6),
-    "ur10e": _universal_robots("UR10e", 180.7, -612.7, -571.55, 174.15, 119.85, 116.55),
-    "ur16e": _universal_robots("UR16e", 180.7, -478.4, -360.0, 174.15, 119.85, 116.55),
-}
-"""By the name that an answer gives. Further arms need a data sheet whose rows are sure."""
 
 
 class ArmKeys(ConfigSection):
@@ -90,6 +30,52 @@ class ArmKeys(ConfigSection):
                 'type = "serial" and its rows (docs/tutorials/rehearsed-cell.md)'
             )
         return name
+
+
+FrameValues = Annotated[tuple[float, ...], BeforeValidator(as_tuple)]
+
+
+class MakerKeys(ConfigSection):
+    """Keys of [robot] in addition to those of a cell. A line `robot = "abb"` is the same as `maker = "abb"`."""
+
+    maker: Text | None = None
+    """Maker of the robot: its driver, the language and an arm."""
+    wobj: FrameValues | None = None
+    """Of abb: the part's work object, x, y, z in mm and q1 to q4."""
+    base: FrameValues | None = None
+    """Of kuka: the part's base, X, Y, Z in mm and A, B, C in deg."""
+    uframe: FrameValues | None = None
+    """Of fanuc: the part's user frame, X, Y, Z in mm and W, P, R in deg."""
+    user_frame: FrameValues | None = None
+    """Of yaskawa: the part's user frame, X, Y, Z in mm and Rx, Ry, Rz in deg."""
+    frame: FrameValues | None = None
+    """Of staubli: the part's frame, x, y, z in mm and rx, ry, rz in deg."""
+    feature: FrameValues | None = None
+    """Of ur: the part's feature p[...], x, y, z in m and the rotation vector in rad."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.maker is not None and self.maker not in MAKERS:
+            raise ValueError(
+                f"maker: there is no robot {self.maker!r}{did_you_mean(self.maker, MAKERS)} There are: "
+                f"{join_words(MAKERS)}; of any other write [robot] with its type"
+            )
+        form = None if self.maker is None else MAKERS[self.maker].frame
+        for name, one in FRAMES.items():
+            values = getattr(self, name)
+            if values is None:
+                continue
+            if one is not form:
+                own = f"; it has {form.key}" if form is not None else ""
+                raise ValueError(f"{name}: is no frame of maker = {self.maker!r}{own}")
+            one.check(values)
+        return self
+
+    @property
+    def given_frame(self) -> tuple[FrameForm, FrameValues] | None:
+        """The part's frame in the maker's terms, if it is answered."""
+        found = ((one, getattr(self, name)) for name, one in FRAMES.items())
+        return next(((one, values) for one, values in found if values is not None), None)
 
 
 class SampleKeys(ConfigSection):
@@ -143,6 +129,7 @@ class SpotKeys(ConfigSection):
 class OwnKeys(TomlDocument):
     """Keys of answers in addition to those of a cell."""
 
+    robot: MakerKeys = MakerKeys()
     kinematics: ArmKeys = ArmKeys()
     instrument: SampleKeys = SampleKeys()
     program: MakeKeys = MakeKeys()
@@ -179,12 +166,15 @@ def answers_of(text: str, path: Path) -> Answers:
 def _answers(raw: dict[str, Any], source: TomlSource) -> Answers:
     cell, own = {}, {}
     for name, section in raw.items():
-        if name == "spot":
+        if name == "robot" and isinstance(section, str):
+            own[name] = {"maker": section}
+        elif name == "spot":
             own[name] = section
         elif name in OwnKeys.model_fields and isinstance(section, Mapping):
             known = type(OwnKeys.model_fields[name].default).model_fields
-            own[name] = {key: value for key, value in section.items() if key in known}
-            cell[name] = {key: value for key, value in section.items() if key not in known}
+            mine = {key for key, value in section.items() if key in known and not isinstance(value, Mapping)}
+            own[name] = {key: value for key, value in section.items() if key in mine}
+            cell[name] = {key: value for key, value in section.items() if key not in mine}
         else:
             cell[name] = section
     return Answers(cell, OwnKeys.of(own, source), source)

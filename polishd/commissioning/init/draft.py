@@ -14,8 +14,10 @@ import numpy as np
 from pydantic import BaseModel
 from scipy.spatial.transform import Rotation
 
-from polishd.commissioning.init.answers import ARMS, UNKNOWN_N_MM_PER_RAD, Answers, as_if_rigid
+from polishd.commissioning.init.answers import Answers
+from polishd.commissioning.init.arms import ARMS, UNKNOWN_N_MM_PER_RAD, as_if_rigid
 from polishd.commissioning.init.connected import SampleMap
+from polishd.commissioning.init.makers import MAKERS, WHERE, RobotMaker
 from polishd.config.cell import FILES, PORTS, CellConfig, consistent, device_options
 from polishd.config.fields import OUTLINES
 from polishd.config.process_sections import HybridSection, MeasuredSection, SerialSection
@@ -112,6 +114,20 @@ class CellDraft:
     files: dict[str, bytes] = field(default_factory=dict)
     """What is written beside the cell, by name."""
 
+    @property
+    def maker(self) -> RobotMaker | None:
+        """The robot's maker, if it is answered."""
+        name = self.answers.own.robot.maker
+        return None if name is None else MAKERS[name]
+
+    @property
+    def arm(self) -> str | None:
+        """The known arm: the one that is answered, or the usual one of the maker without an answer."""
+        arm, kinematics = self.answers.own.kinematics.arm, self.answers.cell.get("kinematics", {})
+        if arm is None and self.maker is not None and "type" not in kinematics:
+            return next(iter(self.maker.arms), None)
+        return arm
+
     def has(self, key: str) -> bool:
         """Whether a dotted key has a value."""
         section, _, name = key.partition(".")
@@ -163,6 +179,7 @@ def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap |
     for section in dict.fromkeys(key.partition(".")[0] for key in (*ASSUMED, "plugins.load", "instrument.profile")):
         if not isinstance(given := draft.raw.setdefault(section, {}), dict):
             raise answers.own.error(section, f"must be a section, [{section}], not {given!r}")
+    _assume_maker(draft)
     _assume_names(draft, sample)
     _assume_robot(draft)
     robot = draft.hooks.device_types().get(draft.raw["robot"].get("type"))
@@ -178,6 +195,30 @@ def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap |
     draft.assume("plugins.load", _plugins(draft))
     _assume_ranges(draft)
     return draft
+
+
+def _assume_maker(draft: CellDraft) -> None:
+    """Driver, program and frame of a robot of a known maker."""
+    own, maker = draft.answers.own, draft.maker
+    if maker is None:
+        return
+    if "type" in draft.raw["robot"]:
+        raise own.error("robot.type", "maker names the driver; remove one of both")
+    for key, value in maker.device.items():
+        draft.assume(f"robot.{key}", value, WHERE if key in ("address", "delivery", "program_dir") else "")
+    draft.assume("program.format", maker.format)
+    draft.assume("program.path", maker.program)
+    for key, (value, why) in maker.assumed.items():
+        draft.raw.setdefault(key.partition(".")[0], {})
+        draft.assume(key, value, why)
+    if own.kinematics.arm is None and draft.arm is not None:
+        draft.assumed["kinematics.type"] = f"a usual arm; others: {', '.join(ARMS)}, or your arm's rows"
+    if (given := own.robot.given_frame) is not None:
+        form, values = given
+        for key, value in zip(("origin_mm", "rotation_rpy_deg"), form.placement(values), strict=True):
+            if draft.has(f"part.{key}"):
+                raise own.error(f"robot.{form.key}", f"is the part's place, as is part.{key}; remove one of both")
+            draft.raw["part"][key] = value
 
 
 def _is_usual(draft: CellDraft, port: str) -> bool:
@@ -210,7 +251,7 @@ def _assume_names(draft: CellDraft, sample: SampleMap | None) -> None:
 def _assume_robot(draft: CellDraft) -> None:
     """Its geometry, and a place of the part that it reaches."""
     kinematics = draft.raw["kinematics"]
-    arm = draft.answers.own.kinematics.arm
+    arm = draft.arm
     if arm is not None and kinematics.get("type", "serial") != "serial":
         raise draft.answers.own.error("kinematics.arm", 'goes with type = "serial", and says that itself; drop type')
     if arm is None and kinematics.get("type") == "serial" and "dh" not in kinematics:
@@ -325,7 +366,7 @@ def _is_section(value: Any) -> bool:
 
 def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[str]:
     docs = _meanings(draft, name, section)
-    if (arm := draft.answers.own.kinematics.arm) and name == "kinematics":
+    if (arm := draft.arm) and name == "kinematics":
         yield f"# {ARMS[arm].title}. Rows: {ARMS[arm].source}"
     for key, value in sorted(section.items(), key=lambda item: item[0] != "type"):
         blank = f"{name}.{key}" in draft.blank

@@ -11,9 +11,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from polishd.commissioning.init.answers import ARMS, Answers, answers_of
+from polishd.commissioning.init.answers import Answers, MakerKeys, answers_of
+from polishd.commissioning.init.arms import ARMS
 from polishd.commissioning.init.connected import Connected, missing_of
 from polishd.commissioning.init.draft import ASSUMED, PART, draft_cell
+from polishd.commissioning.init.makers import MAKERS, WHERE
 from polishd.config.cell_sections import JobSection, PartSection
 from polishd.config.process_sections import MeasuredSection, ProcessSection, SerialSection
 from polishd.config.toml_loader import in_words, meanings
@@ -36,6 +38,9 @@ USUAL: Mapping[str, Any] = {
     "polygon_file": "corners.csv",
 }
 SURFACES = ("flat", "sphere", "asphere")
+OTHER = "other"
+"""A robot of another maker."""
+ASKED_OF_MAKER = ("address", "delivery", "program_dir")
 SPOTS = ("none", "maps", "file")
 
 
@@ -102,7 +107,7 @@ def questions(
     serial = f"serial:{first}?baud=115200" if first else ASSUMED["actuator.address"][0]
     can = f"socketcand://127.0.0.1:29536/{connected.can[0]}" if connected.can else ASSUMED["spindle.address"][0]
     connected_to = {"": serial, "slcan": can}
-    for port in ("robot", "actuator", "spindle"):
+    for port in ("robot", "actuator", "spindle") if given["?maker"] == OTHER else ("actuator", "spindle"):
         yield from _of_device(port, given, hooks, connected_to)
     sample = str(connected.maps[0].sample) if connected.maps else SKIP
     maps = str(connected.maps[0].folder.absolute()) if connected.maps else ASSUMED["metrology.folder"][0]
@@ -137,12 +142,22 @@ def _of(key: str, model: type[BaseModel], default: Any = SKIP, *, text: bool = F
 
 
 def _of_robot(given: Mapping[str, Any]) -> Iterator[Question]:
-    kinds = ("hybrid", *ARMS, "serial", "measured")
-    yield Question("?robot", "Its geometry; serial: an arm whose rows you fill in; measured: a table.", "hybrid", kinds)
+    makers = tuple(MAKERS)
+    yield Question("?maker", "Its maker; other: you name its geometry and its driver.", OTHER, (*makers, OTHER))
+    maker = None if given["?maker"] == OTHER else MAKERS[given["?maker"]]
+    kinds = ("hybrid", *ARMS, "serial", "measured") if maker is None or not maker.arms else (*maker.arms, "serial")
+    yield Question("?robot", "Its geometry; serial: an arm whose rows you fill in; measured: a table.", kinds[0], kinds)
     if given["?robot"] == "measured":
         yield _of("kinematics.table", MeasuredSection, "compliance.csv", text=True)
     elif given["?robot"] != "hybrid":
         yield _of("kinematics.tool_length_mm", SerialSection, 150.0)
+    if maker is None:
+        return
+    for name, value in maker.device.items():
+        if name in ASKED_OF_MAKER:
+            yield Question(f"robot.{name}", WHERE.capitalize() + ".", value, text=True)
+    if maker.frame is not None:
+        yield _of(f"robot.{maker.frame.key}", MakerKeys)
 
 
 def _of_device(
@@ -179,6 +194,8 @@ def _of_part(given: Mapping[str, Any]) -> Iterator[Question]:
     if given["?surface"] == "asphere":
         yield _of("part.conic", PartSection, -1.0)
         yield _of("part.even", PartSection)
+    if given["?surface"] != "flat":
+        yield _of("part.off_axis_mm", PartSection)
     yield _of("part.origin_mm", PartSection)
 
 
@@ -214,6 +231,8 @@ def _put(given: dict[str, Any], key: str, value: Any) -> None:
     """Lay a value into its section; None takes it out."""
     if key.startswith("?"):
         given[key] = value
+        if key == "?maker" and value not in (None, OTHER):
+            given["robot"] = {"maker": value}
         if key == "?robot" and value is not None:
             given["kinematics"] = {"arm": value} if value in ARMS else {"type": value}
         return

@@ -9,7 +9,7 @@ import io
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -404,6 +404,8 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
     try:
         quiet = quiet_lines(config, PITCH_MM)
         options = MakeOptions(shape, Path(config.program.path), pitch_mm=quiet.pitch_mm, step_mm=PITCH_MM)
+        if draft.maker is not None:
+            options = replace(options, encoding=draft.maker.encoding, dwell_s=draft.maker.dwell_s)
         made = make_program(options, config, plugins_of(config))
     except PolishdError as error:
         if "part.origin_mm" in draft.assumed or reached(config):  # of another cause

@@ -349,6 +349,10 @@ NOT_SIMULATED = (
 OTHER_LANGUAGES = (
     "fanuc-tp", "heidenhain", "inform", "kawasaki-as", "krl", "melfa-basic", "rapid", "urscript", "val3",
 )  # fmt: skip
+CONTROLLER_LANGUAGES: Mapping[str, str] = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
+"""Languages that the simulated controller of plc_robot reads over opcua, with the profile of its variables."""
+MOST_REPORT_MS = 160.0
+"""Process time between two reports of a simulated controller up to which stops are seen soon enough."""
 WINDOW, MOST_SPEED = 16384, 60
 """Blocks that a simulated controller holds ahead, and up to which speed that is enough."""
 FIRST_REGISTER = 24
@@ -385,6 +389,8 @@ def _require_language(draft: RehearsalDraft, device: str) -> None:
     if only := draft.device_type(device).program_format:
         if named != only:
             raise draft.config.error("program.format", f"is {named!r}; the simulated controller reads {only} only")
+    elif kind == "plc_robot" and named in CONTROLLER_LANGUAGES:
+        return  # by the file's ending
     elif named in OTHER_LANGUAGES:
         raise draft.config.error(
             "program.format",
@@ -445,15 +451,23 @@ def _kuka_kvp(draft: RehearsalDraft, device: str) -> None:
 def _plc_robot(draft: RehearsalDraft, device: str) -> None:
     options, port = draft.options(device), free_port()
     profile = load_controller_profile(options["profile"], draft.config.base_dir)
-    usual = load_controller_profile(f"plc-{profile.link}", CONTROLLER_PROFILE_DIR)
+    language = draft.config.program.format
+    named = CONTROLLER_LANGUAGES.get(language, f"plc-{profile.link}")
+    usual = load_controller_profile(named, CONTROLLER_PROFILE_DIR)
+    if profile.link != usual.link:
+        raise draft.config.error(
+            f"{device}.profile", f"the simulated controller reads {language!r} over {usual.link} only. Post it as rs274"
+        )
+    speed = min(draft.sim["plant"]["speed"][0], round(MOST_REPORT_MS / profile.report_ms, 1))
+    draft.put(
+        "plant", "speed", speed, f"--speed: reports every {profile.report_ms:g} ms of wall time are late by as much"
+    )
     if profile.variables != usual.variables or profile.program != usual.program:
         draft.files["controller.toml"] = _with_its_times(profile, usual)
-        why = (
-            f"{options['profile']}: the simulated controller has the variables of plc-{profile.link}, and the times of"
-        )
+        why = f"{options['profile']}: the simulated controller has the variables of {named}, and the times of"
         draft.instead(f"{device}.profile", "controller.toml", f"{why} yours")
-        if draft.config.program.format != "rs274":
-            draft.instead("program.format", "rs274", f"the lines of plc-{profile.link} are RS274")
+        if language not in ("rs274", *CONTROLLER_LANGUAGES):
+            draft.instead("program.format", "rs274", f"the lines of {named} are RS274")
     elif options["profile"].endswith(".toml"):
         draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
     host = f"127.{port // 256}.{port % 256}.1"

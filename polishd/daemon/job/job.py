@@ -359,8 +359,12 @@ class Job:
 
     def _at_points(self, cycle: int) -> tuple[FloatArray, FloatArray]:
         """(n,) the same, s; and (n,) the same, weighted by the measured force and speed, s."""
-        turn = next((self.tools.of(one) for one in self.journal.passes if one.cycle == cycle), self.tools.now)
-        blocks, point = self.journal.executed(cycle), turn.program.block
+        record = next((one for one in self.journal.passes if one.cycle == cycle), None)
+        turn = self.tools.now if record is None else self.tools.of(record)
+        planned = self._planned.get(cycle) or (self._plan_of(record) if record is not None and record.plan else None)
+        blocks = self.journal.executed(cycle)
+        # new times may have brought new lines: what ran are the blocks of the plan, not of the program before it
+        point = turn.program.block if planned is None else planned.block
         run, seconds = blocks.possible, blocks.duration_s
         acting = seconds * relative_removal(turn.recipe.process, blocks.acting_n, blocks.rpm)
         return executed_s(point, blocks.seq[run], seconds[run]), executed_s(point, blocks.seq[run], acting[run])

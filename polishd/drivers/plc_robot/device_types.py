@@ -62,7 +62,7 @@ def build(options: PlcRobotOptions, context: DeviceContext) -> PlcRobot:
     profile = load_controller_profile(options.profile, context.base_dir)
     profile.require_usable()
     make = _link(profile, options, context)
-    delivery = RecordedDelivery(_delivery(options, context), options.delivery)
+    delivery = RecordedDelivery(_delivery(options, context, renames=profile.program.renames), options.delivery)
     return PlcRobot(
         f"{profile.name} at {options.address}",
         profile,
@@ -76,7 +76,9 @@ def own_lines(options: PlcRobotOptions, context: DeviceContext) -> OwnLines:
     """Return the pauses, dwells and program ends of the controller's profile."""
     table = load_controller_profile(options.profile, context.base_dir).program
     dwells = {seconds: table.dwell.format(seconds=seconds) for seconds in (0.25, 2.5)}
-    return OwnLines(f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end))
+    return OwnLines(
+        f"[program] of the controller profile {options.profile!r}", dwells, (table.pause, table.end), table.language
+    )
 
 
 def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceContext) -> Callable[[], Variables]:
@@ -113,14 +115,14 @@ def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | Non
     return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
 
 
-def _delivery(options: PlcRobotOptions, context: DeviceContext) -> Delivery:
+def _delivery(options: PlcRobotOptions, context: DeviceContext, *, renames: bool) -> Delivery:
     kind, _, rest = options.delivery.partition(":")
     match kind:
         case "folder" if rest:
             return Folder((context.base_dir / rest).absolute())
         case "ftp":
             require_extra(f"delivery {options.delivery!r}", "ftp")
-            return Ftp(_place(options, context, 21))
+            return Ftp(_place(options, context, 21), renames=renames)
         case "sftp":
             require_extra(f"delivery {options.delivery!r}", "sftp")
             known_hosts = context.base_dir / Path(options.known_hosts).expanduser()

@@ -289,7 +289,7 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
         """Deliver the file, command the controller to load it, and confirm that it is loaded."""
         poller, variables = self._poller, self._profile.variables
         report_s = self._profile.report_ms / 1e3 * max(poller.pace, 1e-3)
-        seconds = dwells_s(report_s) if plan.approach_blocks else []
+        seconds = dwells_s(report_s, self._profile.program.dwell_step_s) if plan.approach_blocks else []
         file = PlcProgramFile(
             self._lines,
             self._stops(plan),

@@ -62,13 +62,15 @@ class PlcProgramFile(ProgramFile):
             lambda end: own(end, pause) if pause_at_end else [],
             table.end.encode(),
         )
+        if table.line_end == "crlf":
+            self.text = b"\r\n".join([*self.lines, b""])
         self.end = max(self.pauses.values()) if pause_at_end else None
         """Number of blocks executed at the pause before the end; None without a pause."""
         proved = self.stops[:1] == (first,)
         self.proof = _dwell_lines(self.inserted, len(dwells)) if proved else ()
         """1-based lines of the dwells."""
         self._first = line.first
-        self._numbers = _n_words(self.lines) if numbered else None
+        self._numbers = _counted(self.lines, line)
 
     def block_at(self, line: int) -> int:
         """See ProgramFile; the block before an added dwell ends with the dwell: only then the tool may land."""
@@ -91,6 +93,26 @@ def _numbered(lines: Sequence[bytes], before: Sequence[bytes]) -> list[bytes]:
     """Add N words to the driver's lines, continuing from the last N word before."""
     last = next((int(found[1]) for block in reversed(before) if (found := _N_WORD.match(block))), 0)
     return [b"N%d %s" % (last + k, line) for k, line in enumerate(lines, 1)]
+
+
+def _counted(lines: Sequence[bytes], line: LineVariable) -> tuple[Sequence[int], Sequence[int]] | None:
+    """Return the controller's numbers and their 1-based lines of the file; None if it counts every line."""
+    if line.counts == "n_words":
+        return _n_words(lines)
+    if line.counts == "statements":
+        begins = tuple(text.encode() for text in line.counted)
+        at = [number for number, text in enumerate(lines, 1) if text.lstrip().startswith(begins)]
+    elif line.starts_at:
+        start = next((number for number, text in enumerate(lines, 1) if text.strip() == line.starts_at.encode()), None)
+        if start is None:
+            raise DeviceRefused(
+                f"the file has no line {line.starts_at}, from which the controller counts. Check program.format and "
+                "the controller's profile."
+            )
+        at = list(range(start, len(lines) + 1))
+    else:
+        return None
+    return range(line.first, line.first + len(at)), at
 
 
 def _n_words(lines: Sequence[bytes]) -> tuple[list[int], list[int]]:
@@ -120,9 +142,9 @@ MORE_S = 1.0
 _CHANCE = random.SystemRandom()
 
 
-def dwells_s(report_s: float, count: int = 2) -> list[float]:
-    """Return the times of the dwells of one file, s."""
-    return [round(report_s * _CHANCE.uniform(*REPORTS), 3) for _ in range(count)]
+def dwells_s(report_s: float, step_s: float = 0.001, count: int = 2) -> list[float]:
+    """Return the times of the dwells of one file, s: multiples of the step."""
+    return [round(max(round(report_s * _CHANCE.uniform(*REPORTS) / step_s), 1) * step_s, 6) for _ in range(count)]
 
 
 class LineCheck:

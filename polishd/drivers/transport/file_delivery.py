@@ -65,10 +65,14 @@ class RemoteFolder:
 
 
 class Ftp:
-    """A Delivery by FTP, unencrypted: for a controller on a separate network."""
+    """A Delivery by FTP, unencrypted: for a controller on a separate network.
 
-    def __init__(self, place: RemoteFolder) -> None:
+    Without ``renames`` the file goes to its final name: for a controller whose folder takes only whole programs.
+    """
+
+    def __init__(self, place: RemoteFolder, *, renames: bool = True) -> None:
         self._place = place
+        self._renames = renames
 
     async def put(self, name: str, text: bytes) -> None:
         """See Delivery."""
@@ -80,10 +84,14 @@ class Ftp:
             raise _refused("ftp", self._place, name, error) from error
 
     async def _put(self, library: Any, name: str, text: bytes) -> None:
-        final, beside = PurePosixPath(name), PurePosixPath(name + TEMPORARY)
+        final = PurePosixPath(name)
+        beside = PurePosixPath(name + TEMPORARY) if self._renames else final
         async with _session(library, self._place) as client:
             async with client.upload_stream(beside) as stream:
                 await stream.write(text)
+            if not self._renames:
+                await client.quit()  # the server has confirmed it; the controller may write the file in its own way
+                return
             size = await _size(library, client, beside)
             if size != len(text):
                 raise OSError(f"{size} of {len(text)} bytes arrived")

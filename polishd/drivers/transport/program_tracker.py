@@ -29,7 +29,7 @@ class ProgramFile:
     """A program as one file: its blocks, ``at_stop(stop)`` before each of ``stops``, ``at_end(end)`` before its end.
 
     The last line of ``at_stop`` pauses the controller. A pause keeps all modal state, which *run from line* would lose.
-    A program without an end gets ``end_line``.
+    A program without an end gets ``end_line``; where that is empty, the program is no G-code and has its own end.
     """
 
     def __init__(
@@ -41,7 +41,8 @@ class ProgramFile:
         end_line: bytes = b"M2",
     ) -> None:
         self.blocks = len(blocks)
-        end = next((seq for seq, block in enumerate(blocks) if _ends(block, seq)), self.blocks)
+        ends = (seq for seq, block in enumerate(blocks) if _ends(block, seq)) if end_line else ()
+        end = next(iter(ends), self.blocks)
         self.stops = tuple(sorted({stop for stop in stops if 0 < stop <= min(end, self.blocks - 1)}))
         self.inserted: list[int] = []
         """Indices, in the file, of the lines that the driver added."""

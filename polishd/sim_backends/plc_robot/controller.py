@@ -1,8 +1,9 @@
 """The controller: variables in, motion, variables out. Pure of I/O except for the file; the caller passes wall times.
 
-On the load command it reads the file, a part in each cycle: the cycle time does not depend on the program's length. It
-updates its outputs once every report, and stops when no client counts the heartbeat up. An operator at the controller
-may hold the feed; motion continues when the operator releases it.
+It reads a file by its ending: .JBI is INFORM, .pgx is VAL3, any other is RNC blocks. On the load command it reads the
+file, a part in each cycle: the cycle time does not depend on the program's length. It updates its outputs once every
+report, and stops when no client counts the heartbeat up. An operator at the controller may hold the feed; motion
+continues when the operator releases it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from polishd.config.simulator import SimRobotSection
+from polishd.model.errors import ProgramError
 from polishd.model.surface import FloatArray
+from polishd.sim_backends.plc_robot.inform import InformReader
+from polishd.sim_backends.plc_robot.language import LanguageReader
+from polishd.sim_backends.plc_robot.val3 import Val3Reader
 from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.program_reader import Intake, Reach
 from polishd.sim_backends.robot.trajectory import BlockColumns as Blocks
@@ -23,7 +28,9 @@ from polishd.sim_backends.robot.trajectory import BlockColumns as Blocks
 # A program file in the controller, and which of its lines belong to the program.
 
 OURS = b"(polishd)"
-"""End of each line that polishd inserts."""
+"""End of each line of G-code that polishd inserts."""
+LANGUAGES: dict[str, type[LanguageReader]] = {".jbi": InformReader, ".pgx": Val3Reader}
+"""By the ending of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +45,15 @@ class PlcProgram:
     """(m,) 0-based lines that were inserted."""
 
     @classmethod
-    def of(cls, text: bytes) -> PlcProgram:
+    def of(cls, text: bytes, language: type[LanguageReader] | None = None) -> PlcProgram:
         """Parse the text."""
-        lines = text.removesuffix(b"\n").split(b"\n")
-        inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]
-        own = [line for line in lines if not line.endswith(OURS)] if inserted else lines
+        lines = text.removesuffix(b"\n").removesuffix(b"\r").split(b"\n")
+        if language is None:
+            inserted = [at for at, line in enumerate(lines) if line.endswith(OURS)]
+        else:
+            inserted = language.inserted(lines)
+        added = set(inserted)
+        own = [line for at, line in enumerate(lines) if at not in added] if inserted else lines
         return cls(tuple(lines), hashlib.sha256(b"\n".join(own)).hexdigest(), len(own), np.array(inserted, dtype=float))
 
     def blocks_of(self, lines: FloatArray) -> FloatArray:
@@ -74,6 +85,8 @@ class Loading:
     program: PlcProgram
     intake: Intake
     blocks: Blocks
+    reader: LanguageReader | None
+    """None: RNC blocks."""
     longest_turn_s: float = 0.0
     """Time between two cycles, from the command on."""
 
@@ -94,6 +107,8 @@ class Plc:
     """Return the values that the controller reports, as of its last report."""
     feed_held: bool = False
     program: PlcProgram | None = None
+    _reader: LanguageReader | None = None
+    """Of the loaded program, if it is not of RNC blocks."""
     _before: dict[str, Value] = field(default_factory=lambda: dict(INPUTS))
     _alarm: tuple[int, str] = (0, "")
     _loaded: str = ""
@@ -173,14 +188,17 @@ class Plc:
             return
         self._unload()
         path = self.folder / Path(name).name
+        language = LANGUAGES.get(path.suffix.lower())
         try:
-            program = PlcProgram.of(path.read_bytes())
+            program = PlcProgram.of(path.read_bytes(), language)
         except OSError as error:
             self._alarm = (NO_PROGRAM, f"{name}: {error.strerror}")
             return
         lines = list(program.lines)
-        intake = Intake(self.config, self.reach, len(lines), sha256_of(lines), self.motion.pose)
-        self._loading = Loading(name, program, intake, Blocks(len(lines), self.motion.pose, self.motion.limits))
+        pose = self.motion.pose
+        reader = language(pose, path.stem) if language is not None else None
+        intake = Intake(self.config, self.reach, len(lines), sha256_of(lines), pose, reader=reader)
+        self._loading = Loading(name, program, intake, Blocks(len(lines), pose, self.motion.limits), reader)
 
     def _go_on_loading(self, loading: Loading, turn_s: float) -> None:
         """Read a cycle's part of the program; with its last line it is loaded."""
@@ -195,8 +213,14 @@ class Plc:
         if blocks.accepted < blocks.blocks:
             return
         self._loading = None
+        if loading.reader is not None:
+            try:
+                loading.reader.finish()
+            except ProgramError as error:
+                self._alarm = (BAD_PROGRAM, str(error))
+                return
         self.motion.load(blocks)
-        self.program, self._loaded = program, loading.name
+        self.program, self._loaded, self._reader = program, loading.name, loading.reader
         longest_turn_s = round(loading.longest_turn_s, 4)
         self.report("program_loaded", sha256=program.sha256, blocks=program.blocks, longest_turn_s=longest_turn_s)
 
@@ -245,7 +269,10 @@ class Plc:
         return {"idle": IDLE, "running": RUNNING, "done": DONE}[motion.state]
 
     def _line(self, now_s: float) -> tuple[int, float]:
-        """1-based line under way, or of the pause at which it stands, and the wall time at which that began."""
+        """1-based line under way, or of the pause at which it stands, and the wall time at which that began.
+
+        In a robot's language: the number that its reader counts.
+        """
         motion, executed = self.motion, self.motion.executed
         stands_s = now_s if motion.state == "running" else motion.changed_s
         done = len(executed)
@@ -253,8 +280,12 @@ class Plc:
         def wall(process_s: float) -> float:
             return stands_s - (motion.process_s - process_s) / motion.limits.speed
 
-        if self._state() == PAUSED and executed:
-            return done, wall(executed[-1][1])
-        began_s = wall(executed[-1][2]) if executed else motion.changed_s
+        at_pause = self._state() == PAUSED and bool(executed)
+        began_s = wall(executed[-1][1 if at_pause else 2]) if executed else motion.changed_s
         ahead = self.config.read_ahead_lines if motion.state == "running" else 0
-        return min(done + 1 + ahead, max(motion.path.blocks, 1)), began_s
+        line = done if at_pause else min(done + 1 + ahead, max(motion.path.blocks, 1))
+        reader = self._reader
+        if self.program is None or reader is None:
+            return line, began_s
+        first = reader.begins_at(line - 1)
+        return reader.numbers[line - 1], wall(executed[first][1]) if first < done else began_s

@@ -10,7 +10,7 @@ import hashlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ProgramError
@@ -38,6 +38,8 @@ class SimProgramBlock:
     """Speed of a ``move``; seconds of a ``dwell``."""
     inverse: bool = False
     """``rate`` of a move is seconds for the whole block (G93)."""
+    exact: bool = False
+    """The tool stops at its end."""
 
 
 @dataclass(slots=True)
@@ -156,6 +158,15 @@ def _words(line: bytes) -> list[tuple[str, float]]:
 
 # The intake of a program: each block is read, checked and hashed before it is accepted.
 
+
+class BlockReader(Protocol):
+    """Reader of one program, line by line."""
+
+    def read(self, line: bytes) -> SimProgramBlock:
+        """Return the meaning of a line; ProgramError names the problem."""
+        ...
+
+
 Reach = Callable[[list[SimProgramBlock]], BoolArray]
 """True for each of these blocks that ends within the robot's reach, (n,)."""
 
@@ -171,13 +182,15 @@ class Intake:
     pose: Pose
     asked_from: int = -1
     """Block of the pending RESEND request."""
+    reader: BlockReader | None = None
+    """Reader of the program's language; None: RNC blocks."""
     _refusal: tuple[str, str] | None = None
-    _reader: Reader = field(init=False)
+    _reader: BlockReader = field(init=False)
     _hash: Any = field(default_factory=hashlib.sha256)
 
     def __post_init__(self) -> None:
         """Modal state starts again with each program."""
-        self._reader = Reader(self.pose)
+        self._reader = self.reader or Reader(self.pose)
 
     def refusal(self) -> tuple[str, str] | None:
         """Code and text of the first refusal."""

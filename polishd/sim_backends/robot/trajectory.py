@@ -50,6 +50,8 @@ class BlockColumns:
         """Squared speed allowed where the block begins."""
         self._direction = np.zeros((blocks, 3))
         self._last = -1
+        self._exact = -1
+        """Last block that ends with an exact stop."""
 
     def append(self, batch: Sequence[SimProgramBlock]) -> None:
         """Take the next blocks."""
@@ -70,11 +72,12 @@ class BlockColumns:
         self.length[here] = length
         self.feed[here] = np.clip(feed, 1e-3, np.where(rate > 0.0, max_feed, rapid))
         self.seconds[here] = np.where(self.kind[here] == DWELL, rate, 0.0)
-        self.entry[here] = self._entries(here)
+        exact = np.array([block.exact for block in batch], dtype=np.bool_)
+        self.entry[here] = self._entries(here, exact)
         self.accepted = first + count
 
-    def _entries(self, here: slice) -> FloatArray:
-        """Squared junction speeds: both feeds, and a full stop at corners, dwells and pauses."""
+    def _entries(self, here: slice, exact: BoolArray) -> FloatArray:
+        """Squared junction speeds: both feeds, and a full stop at corners, exact stops, dwells and pauses."""
         index = np.arange(here.start, here.stop)
         moving = self.length[here] > 0.0
         standing = self.kind[here] >= DWELL
@@ -85,7 +88,9 @@ class BlockColumns:
         corner = math.cos(math.radians(self.limits.corner_deg))
         straight = np.sum(self._direction[here] * self._direction[before], axis=1) >= corner - 1e-9
         allowed = np.where(moving, np.where(straight, np.minimum(speed, self.feed[here]), 0.0), speed)
-        return np.asarray(np.where(standing, 0.0, allowed) ** 2)
+        stops = np.maximum.accumulate(np.concatenate([[self._exact], np.where(exact, index, -1)]))
+        self._exact = int(stops[-1])
+        return np.asarray(np.where(standing | (stops[:-1] >= before), 0.0, allowed) ** 2)
 
 
 # The look-ahead speed profile: trapezoids under one acceleration, for whole buffers at once.

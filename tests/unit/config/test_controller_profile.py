@@ -51,7 +51,7 @@ def test_shipped_profiles_may_polish(name: str) -> None:
     assert found.watchdog_s is not None
     text = (CONTROLLER_PROFILE_DIR / f"{name}.toml").read_text()
     assert text.startswith("#"), "it says of what it is"
-    if name in ("twincat-nci", "sinumerik-opcua"):
+    if name in ("twincat-nci", "sinumerik-opcua", "staubli-val3", "yaskawa-inform"):
         assert "not tried on the device" in text
 
 
@@ -105,6 +105,21 @@ def test_a_feed_override_shows_a_hold_too(tmp_path: Path) -> None:
             '[variables]\nline_began = { address = "G.b", type = "double" }',
             r"line_began: is a time on \[variables\.clock\]",
         ),
+        (
+            'shows = "executed"',
+            'shows = "executed"\ncounts = "statements"',
+            r"counted: goes with counts = \"statements\"",
+        ),
+        (
+            'shows = "executed"',
+            'shows = "executed"\ncounted = ["movel("]',
+            r"counted: goes with counts = \"statements\"",
+        ),
+        (
+            'shows = "executed"',
+            'shows = "executed"\ncounts = "n_words"\nstarts_at = "NOP"',
+            r"starts_at: goes with counts = \"lines\"",
+        ),
     ],
 )
 def test_a_mistake_is_told_with_its_place(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -113,7 +128,7 @@ def test_a_mistake_is_told_with_its_place(tmp_path: Path, old: str, new: str, sa
 
 
 def test_a_profile_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="known are plc-ads, plc-modbus, plc-opcua, sinumerik-opcua, twincat-nci"):
+    with pytest.raises(ConfigError, match="known are plc-ads, plc-modbus, plc-opcua, sinumerik-opcua, staubli-val3"):
         load_controller_profile("sinumerik", tmp_path)
     with pytest.raises(ConfigError, match="cannot be read"):
         load_controller_profile("none.toml", tmp_path)

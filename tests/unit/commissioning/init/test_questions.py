@@ -135,7 +135,7 @@ def test_a_folder_has_maps_where_the_newest_of_its_files_that_is_one_is_found(tm
 @pytest.mark.full
 def test_on_a_terminal_it_leaves_a_cell_and_its_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    typed = "\n".join(["ur10e", *[""] * 12, "M-7", "", "12", "-", *[""] * 12])
+    typed = "\n".join(["", "ur10e", *[""] * 12, "M-7", "", "12", "-", *[""] * 12])
     said = CliRunner().invoke(app, ["init", "cell"], input=f"{typed}\n")
     assert said.exit_code == 0, said.output
     assert load_config(tmp_path / "cell" / "cell.toml").part.aperture_mm == 12

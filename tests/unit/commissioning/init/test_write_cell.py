@@ -14,7 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from polishd.cli.app import app
-from polishd.commissioning.init.answers import ARMS, answers_of
+from polishd.commissioning.init.answers import answers_of
+from polishd.commissioning.init.arms import ARMS
 from polishd.commissioning.init.draft import draft_cell
 from polishd.commissioning.init.write_cell import Seat, find_seat, reached
 from polishd.config.cell import CellConfig, load_config

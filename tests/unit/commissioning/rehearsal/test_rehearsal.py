@@ -17,6 +17,7 @@ from polishd.cli.app import app
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text
 from polishd.commissioning.rehearsal.rehearsal import draft_rehearsal, write_rehearsal
 from polishd.config.cell import load_config
+from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
 from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.config.simulator import SimConfig, load_simulator
 from polishd.config.table_files import write_tif
@@ -455,3 +456,36 @@ def test_a_fanuc_controller_is_the_simulated_one_in_real_time(tmp_path: Path) ->
     config = read_config(folder / "cell-rehearsal" / "sim.toml")
     assert (config.robot.kind, config.plant.speed, config.robot.watchdog_s) == ("fanuc_rmi", 1.0, 60.0)
     assert config.robot.z_mm[1] >= 60.0
+
+
+@pytest.mark.parametrize(("maker", "profile"), [("yaskawa", "yaskawa-inform"), ("staubli", "staubli-val3")])
+def test_a_cell_with_programs_in_its_robots_language_is_rehearsed_in_it(
+    tmp_path: Path, maker: str, profile: str
+) -> None:
+    folder = Path(shutil.copytree(EXAMPLES / maker, tmp_path / maker))
+    shutil.copy(EXAMPLES / "instrument.toml", tmp_path)
+    done = CliRunner().invoke(app, ["rehearse", str(folder / "cell.toml"), "--write-only"])
+    assert done.exit_code == 0, done.stderr
+    rehearsal = load_config(folder / "cell-rehearsal" / "cell-rehearsal.toml")
+    assert (rehearsal.program.format, rehearsal.robot.model_dump()["profile"]) == (
+        {"yaskawa": "inform", "staubli": "val3"}[maker],
+        profile,
+    )
+    config = read_config(folder / "cell-rehearsal" / "sim.toml")
+    assert (config.robot.kind, config.robot.report_ms, config.plant.speed) == ("opcua", 50.0, 3.2)
+
+
+@pytest.mark.parametrize(("maker", "profile"), [("yaskawa", "yaskawa-inform"), ("staubli", "staubli-val3")])
+def test_node_ids_of_ones_own_are_those_of_the_simulated_controller_in_a_rehearsal(
+    tmp_path: Path, maker: str, profile: str
+) -> None:
+    text = (CONTROLLER_PROFILE_DIR / f"{profile}.toml").read_text()
+    mine = text.replace("nsu=urn:polishd:handover;s=", "ns=4;s=").replace("report_ms = 50.0", "report_ms = 40.0")
+    (tmp_path / "mine.toml").write_text(mine)
+    keys = 'type = "plc_robot"\nprofile = "mine.toml"\naddress = "opc.tcp://10.0.0.2:4840"\ndelivery = "folder:nc"'
+    language = {"yaskawa": "inform", "staubli": "val3"}[maker]
+    draft = made(tmp_path, robot(keys).replace('"rs274"', f'"{language}"'))
+    written = draft.files["controller.toml"].decode()
+    assert "nsu=urn:polishd:handover;s=line" in written
+    assert "report_ms = 40.0" in written
+    assert "program.format" not in changed(draft, tmp_path)

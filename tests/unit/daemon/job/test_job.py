@@ -23,6 +23,8 @@ from polishd.pipeline import steps
 from polishd.pipeline.decisions import Accept, AnotherPass, Diverge
 from polishd.pipeline.dwell_step import require_certificate
 from polishd.pipeline.records import MeasureResult
+from polishd.plugins.rnc_robot.dialect import dialect
+from polishd.plugins.rnc_robot.formats import format_of
 from polishd.process.identification.findings import DIVERGED_RATIO
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
@@ -171,6 +173,24 @@ async def test_executed_time_lies_at_the_points_that_had_it(job: Job) -> None:
     plan = await planned(job, 0, await job.measured(0, small_map()))
     await run(job, 0, plan, late_s=0.01)
     assert job.executed_s(0) == pytest.approx(plan.expected_time_s + 0.01)
+
+
+async def test_new_times_that_bring_new_lines_are_counted_by_the_lines_that_ran(
+    tmp_path: Path, journal: Journal
+) -> None:
+    """VAL3 states a speed on a line of its own: the plan has more lines than the program that it was made of."""
+    form, path = format_of(dialect("val3")), small_program()
+    points, axis = np.vstack([path.start_mm[:1], path.end_mm]), np.vstack([path.axis[:1], path.axis])
+    assert form.make is not None
+    program = form.read(form.make(points, axis, 600.0, "small"), "small")
+    recipe = small_recipe(format=form)
+    job = small_job(tmp_path, journal, recipe=recipe, program=program)
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    assert plan.program.block[-1] > program.block[-1]
+    await run(job, 0, plan)
+    assert job.executed_s(0) == pytest.approx(plan.expected_time_s)
+    again = small_job(tmp_path / "again", journal, recipe=recipe, program=program)
+    assert again.executed_s(0) == pytest.approx(plan.expected_time_s), "and after a restart"
 
 
 async def test_blocks_that_were_not_run_have_no_time(job: Job) -> None:

@@ -14,6 +14,7 @@ from polishd.commissioning.rehearsal.simulated_cell import demo_program, with_va
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import shipped
 from polishd.daemon import checks
+from polishd.daemon.assembly import require_accepted_by_robot
 from polishd.drivers.plc_robot.device_types import PlcRobotOptions, build, own_lines
 from polishd.model.errors import PolishdError
 from polishd.plugin_loader import load_own
@@ -125,12 +126,31 @@ def test_a_wire_to_the_actuator_makes_up_for_slow_reports(tmp_path: Path, exampl
     assert "66 ms rms, 1" in checked(path)["end of a block known to"]
 
 
+@pytest.mark.parametrize(
+    ("profile", "is_taken"), [("staubli-val3", False), ("yaskawa-inform", False), ("plc-opcua", True)]
+)
+def test_lines_of_a_language_go_with_its_programs_only(
+    tmp_path: Path, example: str, profile: str, is_taken: bool
+) -> None:
+    path = cell(tmp_path, example, max_stall_removal_nm=200.0)
+    path.write_text(path.read_text().replace('"mine.toml"', f'"{profile}"'))
+    config, hooks = load_config(path), load_own()
+    program = hooks.program_formats()["rs274"].read(config.program_path.read_bytes(), "program.rnc")
+    if is_taken:
+        require_accepted_by_robot(config, hooks, program)
+        return
+    with pytest.raises(ConfigError, match=r"program\.format: 'rs274' does not go with .*(lines of 'val3'|TIMER)"):
+        require_accepted_by_robot(config, hooks, program)
+
+
 FITTING = {
     "plc-ads": {"rs274", "haas", "grbl"},
     "plc-modbus": {"rs274", "haas", "grbl"},
     "plc-opcua": {"rs274", "haas", "grbl"},
     "sinumerik-opcua": {"siemens", "twincat-nci"},
     "twincat-nci": {"twincat-nci", "twincat-cnc", "fanuc", "siemens-iso"},
+    "staubli-val3": set(),  # its lines call programs of the controller
+    "yaskawa-inform": {"inform"},
 }
 """Dialects in which the lines of a shipped profile are what they are meant to be."""
 

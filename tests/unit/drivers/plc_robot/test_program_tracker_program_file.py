@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from polishd.api import DeviceRefused
 from polishd.config.controller_profile import LineVariable, ProgramTable
-from polishd.drivers.plc_robot.program_tracker import PlcProgramFile
+from polishd.drivers.plc_robot.program_tracker import PlcProgramFile, dwells_s
 
 TABLE = ProgramTable()
 BLOCKS = [b"G90", b"G0 Z10", b"G1 X1 F60", b"G1 X2", b"G0 Z10", b"M30"]
@@ -75,3 +75,34 @@ def test_each_line_of_the_program_is_its_own_block(count: int, stops: set[int], 
     for index, text in enumerate(file.text.splitlines()):
         if text.startswith(b"G1"):
             assert blocks[file.block_at(file.line_of(index + 1))] == text
+
+
+JOB = [b"/JOB", b"//NAME M2", b"NOP", b"MOVL C00001 V=10.0 PL=0", b"MOVL C00002 V=10.0 PL=0", b"END"]
+NO_END = ProgramTable(pause="PAUSE", dwell="TIMER T={seconds:.2f}", dwell_step_s=0.01, end="", line_end="crlf")
+
+
+def test_a_job_is_counted_from_its_first_instruction_and_has_its_controllers_line_ends() -> None:
+    """And a name that looks like the end of G-code ends nothing."""
+    file = PlcProgramFile(JOB, (4,), NO_END, line=line(first=0, starts_at="NOP"), proof_s=(0.25,))
+    assert file.text.split(b"\r\n") == [*JOB[:4], b"TIMER T=0.25", b"PAUSE", *JOB[4:], b""]
+    assert [file.line_of(shown) for shown in (0, 1, 2, 3, 5)] == [3, 4, 5, 6, 8]
+    assert file.line_of(9) == 8
+    with pytest.raises(DeviceRefused, match="the file has no line NOP"):
+        PlcProgramFile(JOB[3:], (1,), NO_END, line=line(first=0, starts_at="NOP"))
+
+
+def test_statements_are_counted_by_how_they_begin() -> None:
+    lines = [b"begin", b"  m.tvel=3", b"  movel(p,t,m)", b"  waitEndMove()", b"  movel(q,t,m)", b"end"]
+    table = ProgramTable(pause="call polPause()", dwell="call polDwell({seconds:.3f})", end="")
+    counted = line(counts="statements", counted=["movel(", "call "])
+    file = PlcProgramFile(lines, (3,), table, line=counted, proof_s=(0.25,))
+    assert [file.line_of(shown) for shown in range(6)] == [0, 3, 4, 5, 7, 7]
+    assert file.proof == (4,)
+    assert file.pauses == {5: 3}
+
+
+@given(st.floats(0.005, 3.0), st.sampled_from([0.001, 0.01, 0.5]))
+def test_dwells_are_whole_steps_so_that_the_file_says_what_is_checked(report_s: float, step_s: float) -> None:
+    for seconds in dwells_s(report_s, step_s):
+        assert seconds >= step_s
+        assert abs(seconds / step_s - round(seconds / step_s)) < 1e-6

@@ -102,6 +102,30 @@ async def test_ftp_takes_the_place_of_the_file_before(root: Path, renames_over: 
         assert found(root) == {"a.nc": TEXT}
 
 
+async def test_ftp_to_a_controller_that_takes_whole_programs_only_uses_no_other_name(root: Path) -> None:
+    """Its server would refuse a name that is no program's, and says no size."""
+    import aioftp
+
+    names: list[str] = []
+
+    class Jobs(aioftp.PathIO):
+        async def _open(self, path: Path, *arguments: Any, **named: Any) -> Any:
+            names.append(path.name)
+            return await super()._open(path, *arguments, **named)
+
+        async def rename(self, *_: Any) -> None:
+            raise OSError("it renames nothing")
+
+    server = aioftp.Server([aioftp.User(USER, PASSWORD, base_path=root)], path_io_factory=Jobs)
+    await server.start("127.0.0.1", 0)
+    try:
+        await Ftp(place(server.server_port), renames=False).put("POLISH.JBI", TEXT)
+    finally:
+        await server.close()
+    assert found(root) == {"POLISH.JBI": TEXT}
+    assert set(names) == {"POLISH.JBI"}
+
+
 async def test_ftp_says_who_refuses_and_what(root: Path) -> None:
     async with ftp_server(root) as port:
         with pytest.raises(DeviceRefused, match=r"ftp://robot@127\.0\.0\.1.*a\.nc cannot be delivered") as refused:
