@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
 
-from polishd.commissioning.init.steps import setup_verb
 from polishd.daemon.checks import check_cell
 from polishd.model.errors import ConfigError
 from polishd.plugin_loader import load_cell
@@ -61,16 +59,13 @@ def test_what_is_about_the_parts_safety_is_not_assumed_away(tmp_path: Path) -> N
 
 
 @pytest.mark.full
-def test_a_controller_whose_language_polishd_does_not_write_is_left_without_a_program(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_controller_gets_its_program_in_its_own_language(tmp_path: Path) -> None:
     shown = init(tmp_path, ROUND + '[robot]\ntype = "universal_robots"\naddress = "tcp://ur:30004"\n')
-    assert shown["written"] == ["cell.toml", "drive.eds", "instrument.toml"]
-    assert "urscript" in shown["program"]
-    setup_verb(tmp_path / "cell" / "cell.toml", as_json=True)
-    found = {step["what"]: step for step in json.loads(capsys.readouterr().out)["steps"]}
-    assert found["check"]["done"] is False
-    assert "program.rnc" in found["check"]["found"]
+    assert "program.rnc" in shown["written"]
+    config, hooks = load_cell(tmp_path / "cell" / "cell.toml")
+    content = config.program_path.read_bytes()
+    program = hooks.program_formats()[config.program.format].read(content, "program.rnc")
+    assert (program.dialect, program.n > 100, b"movel(" in content) == ("urscript", True, True)
 
 
 @pytest.mark.full

@@ -136,7 +136,7 @@ def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
             r"answers\.toml:11: spot\.file: cannot be combined",
         ),
         (LENS + "robot = 3\n", r"answers\.toml:10: part\.robot: unknown key"),
-        ('robot = "left"\n' + LENS, r"answers\.toml:1: robot: must be a section, \[robot\], not 'left'"),
+        ('robot = "left"\n' + LENS, r"answers\.toml:1: robot.maker: there is no robot 'left'"),
         (LENS + '[instrument]\nsample = "no.dat"\n', r"toml:11: instrument\.sample: .*no\.dat: cannot be read"),
         (LENS + '[spot]\nfile = "no.csv"\npitch_mm = 1.0\n', r"toml:10: spot: .*no\.csv: is no array of a spot"),
         (LENS.replace("arm =", 'type = "hybrid"\narm ='), r"toml:4: kinematics\.arm: goes with type = \"serial\""),
