@@ -351,6 +351,8 @@ OTHER_LANGUAGES = (
 )  # fmt: skip
 CONTROLLER_LANGUAGES: Mapping[str, str] = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
 """Languages that the simulated controller of plc_robot reads over opcua, with the profile of its variables."""
+LANGUAGE_SPEED = 4.0
+"""As of other robots with a move and a wait at each point."""
 MOST_REPORT_MS = 160.0
 """Process time between two reports of a simulated controller up to which stops are seen soon enough."""
 WINDOW, MOST_SPEED = 16384, 60
@@ -458,7 +460,8 @@ def _plc_robot(draft: RehearsalDraft, device: str) -> None:
         raise draft.config.error(
             f"{device}.profile", f"the simulated controller reads {language!r} over {usual.link} only. Post it as rs274"
         )
-    speed = min(draft.sim["plant"]["speed"][0], round(MOST_REPORT_MS / profile.report_ms, 1))
+    most = LANGUAGE_SPEED if language in CONTROLLER_LANGUAGES else draft.sim["plant"]["speed"][0]
+    speed = min(most, round(MOST_REPORT_MS / profile.report_ms, 1))
     draft.put(
         "plant", "speed", speed, f"--speed: reports every {profile.report_ms:g} ms of wall time are late by as much"
     )

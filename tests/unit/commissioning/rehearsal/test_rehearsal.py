@@ -488,4 +488,5 @@ def test_node_ids_of_ones_own_are_those_of_the_simulated_controller_in_a_rehears
     written = draft.files["controller.toml"].decode()
     assert "nsu=urn:polishd:handover;s=line" in written
     assert "report_ms = 40.0" in written
+    assert draft.sim["plant"]["speed"][0] == 4.0
     assert "program.format" not in changed(draft, tmp_path)
