@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from polishd.api import (
     Segment,
 )
 from polishd.config.fields import ConfigSection
+from polishd.drivers.fanuc_rmi.motion_speed import MotionSpeed
 from polishd.drivers.fanuc_rmi.program import LONGEST_LINE, RmiInstruction, TpReader, instructions_of
 from polishd.drivers.fanuc_rmi.protocol import (
     IN_HOLD,
@@ -76,6 +78,7 @@ class RmiProgramTracker(ProgramTracker):
         self.target: int | None = 0
         """Blocks below it may run; None for all."""
         self.first_sequence = 1
+        self.speed = MotionSpeed()
         self._expected_s = np.full(blocks, np.nan)
         """Planned time of each block that is a timed point; of a dwell with its move."""
         timed = plan.program.block
@@ -147,6 +150,13 @@ class RmiProgramTracker(ProgramTracker):
         self.answered += 1
         self._advance(block + 1, block)
         self.pass_idle()
+
+    def measure_speed(self, snapshot: RmiSnapshot) -> None:
+        """Take the pose of the instruction that is executed."""
+        if self.answered < self.sent:
+            x, y, z = snapshot.pose[:3]
+            move = self.instructions[self.answered].move
+            self.speed.add(self.answered, move, (x, y, z), snapshot.asked_s, snapshot.answered_s)
 
     def pass_idle(self) -> None:
         """Record the next lines that neither move nor wait; the program is held at its target, or done at its end."""
@@ -350,7 +360,8 @@ class FanucRmi:
         snapshot, tracker = self._poller.last, self._tracker
         if tracker is None:
             return RobotProgress("idle", "", 0, 0, 0.0, override=snapshot.status.override)
-        return tracker.progress(tracker.accepted, self.buffer_s, snapshot.status.override)
+        progress = tracker.progress(tracker.accepted, self.buffer_s, snapshot.status.override)
+        return replace(progress, measured_speed=tracker.speed.share)
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         """See Robot. DeviceFault when the controller reports a fault or leaves its mode."""
@@ -399,6 +410,7 @@ class FanucRmi:
         self._started_s = time.monotonic()
         tracker.target = until
         if tracker.state != "running":
+            tracker.speed.interrupt()
             tracker.go(self._started_s)
         tracker.pass_idle()
         await self._pump()
@@ -534,6 +546,7 @@ class FanucRmi:
         elif not snapshot.status.rmi_runs:
             tracker.fail("the program was ended at the controller")
         else:
+            tracker.measure_speed(snapshot)
             await self._pump()  # credit by time comes back while an instruction is executed
 
 

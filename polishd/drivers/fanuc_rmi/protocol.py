@@ -117,6 +117,10 @@ class RmiSnapshot:
 
     time_s: float
     """Time of the request."""
+    asked_s: float
+    """Time of the request of the pose."""
+    answered_s: float
+    """Time of the answer with the pose."""
     status: RmiStatus
     pose: tuple[float, ...]
     """X, Y, Z in mm, W, P, R in deg."""
@@ -217,13 +221,15 @@ class RmiSession(Background):
         """Return status and pose."""
         began_s = time.monotonic()
         status = await self.status()
+        asked_s = time.monotonic()
         answer = await self.command("FRC_ReadCartesianPosition")
+        answered_s = time.monotonic()
         try:
             position = answer["Position"]
             pose = tuple(float(position[axis]) for axis in "XYZWPR")
         except (KeyError, TypeError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_ReadCartesianPosition was answered without {error}") from error
-        return RmiSnapshot(began_s, status, pose, self.is_busy)
+        return RmiSnapshot(began_s, asked_s, answered_s, status, pose, self.is_busy)
 
     async def send(self, sequence: int, fields: Mapping[str, Any]) -> None:
         """Send an instruction, once. Its answer goes to ``on_executed``."""

@@ -105,7 +105,8 @@ def _finding(
     assert not left, f"contact was left before the fault: {reason}"
     after = [event for event in log if event["mono_s"] >= wrong_s]
     assert not reason.startswith(("LinkError", "HostFault")), f"this computer was too busy: {reason}"
-    notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
+    ran_on = summary(files)["outcome"] == "cycles_used"  # to the end of the pass, where the tool is lifted anyway
+    notice_s, off_s = (None, None) if ran_on else (first(after, REACTIONS), first(after, OFF))
     assert pit is not None, "the plant knows of no fault"
     removed_nm = max(pit["part_nm"] if unnoticed else pit["peak_nm"], 0.0)  # of a whole pass: it ends off the part
     limit_nm = bound_nm(checked, pit["planned_nm"] if unnoticed else None)

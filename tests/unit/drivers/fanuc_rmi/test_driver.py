@@ -225,3 +225,17 @@ async def test_messages_are_json_lines_that_end_with_cr_lf(fake: FakeFanuc, robo
     assert all(line.endswith(b"\r\n") for line in fake.lines)
     sequences = [found["SequenceID"] for line in fake.lines if "SequenceID" in (found := json.loads(line))]
     assert sequences == [1, 2]
+
+
+@pytest.mark.parametrize(("pace", "slow"), [(1.0, False), (0.5, True)])
+async def test_half_speed_is_measured_while_the_controller_reports_full_speed(
+    fake: FakeFanuc, robot: FanucRmi, pace: float, slow: bool
+) -> None:
+    await loaded(robot, "L P[1] 50mm/sec FINE ;", "L P[2] 20mm/sec FINE ;", "L P[3] 20mm/sec FINE ;")
+    fake.controller.motion.set_pace(time.monotonic(), pace)
+    await robot.resume()
+    await executed(robot)
+    progress = await robot.progress()
+    assert progress.override == 1.0
+    assert (progress.measured_speed is not None) == slow
+    assert progress.measured_speed is None or 0.5 <= progress.measured_speed < 0.65
