@@ -1,8 +1,8 @@
 """Speed of the tool from the poses that the controller reports, against the speed that its instructions command.
 
-It is independent of the speed override that the controller reports. Only pairs of poses count that prove slow motion:
-both lie well inside one straight move, where the tool has its full speed even with a low acceleration, and the time
-between them is the shortest that the times of request and answer allow.
+It is independent of the speed override that the controller reports. A span is the way between two poses well inside
+one straight move. The time that it took is compared with the time at full speed: the shortest time that the requests
+and answers allow, with the longest at full speed and low acceleration. So a slow span is proven to be slow.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ ASIDE_MM = 0.1
 """Largest distance of a pose from the straight line between both ends of its move."""
 MOST_TURN_DEG_S = 20.0
 """Moves that turn the tool faster may be limited by the turn, and do not count."""
+SPAN_S = 0.25
+"""A longer move is several spans of this time."""
 SLOW = 0.8
 """Fraction of the commanded speed below which motion is slow."""
-SLOW_PAIRS = 4
-"""Consecutive pairs of poses that show slow motion before it is reported."""
+SLOW_SPANS = 3
+"""Consecutive slow spans before slow motion is reported."""
 Xyz = tuple[float, float, float]
 
 
@@ -33,23 +35,37 @@ class StraightMove:
     end_mm: Xyz
     speed_mm_s: float
 
-    def full_share(self, at_mm: Xyz) -> float:
-        """Return the least fraction of the commanded speed that the tool has at a position; 0 off the line."""
-        length_mm = math.dist(self.begin_mm, self.end_mm)
+    @property
+    def length_mm(self) -> float:
+        """Length of the way."""
+        return math.dist(self.begin_mm, self.end_mm)
+
+    def along_mm(self, at_mm: Xyz) -> float | None:
+        """Return the way to a position; None off the line, and where the tool may be slow."""
         way = [end - begin for begin, end in zip(self.begin_mm, self.end_mm, strict=True)]
         offset = [at - begin for begin, at in zip(self.begin_mm, at_mm, strict=True)]
-        along_mm = sum(a * b for a, b in zip(way, offset, strict=True)) / length_mm if length_mm else 0.0
+        along_mm = sum(a * b for a, b in zip(way, offset, strict=True)) / self.length_mm
         aside_mm = math.sqrt(max(sum(part**2 for part in offset) - along_mm**2, 0.0))
-        inside_mm = min(along_mm, length_mm - along_mm)
-        if aside_mm > ASIDE_MM or inside_mm <= 0.0:
-            return 0.0
-        return min(math.sqrt(2.0 * LEAST_ACCEL_MM_S2 * inside_mm) / self.speed_mm_s, 1.0)
+        inside_mm = min(along_mm, self.length_mm - along_mm)
+        least_mm = (FULL * self.speed_mm_s) ** 2 / (2.0 * LEAST_ACCEL_MM_S2)
+        return along_mm if aside_mm <= ASIDE_MM and inside_mm >= least_mm else None
+
+    def longest_s(self, along_mm: float) -> float:
+        """Return the longest time from the begin to that way at full speed, from rest to rest."""
+        accel, length_mm = LEAST_ACCEL_MM_S2, self.length_mm
+        speed_mm_s = min(self.speed_mm_s, math.sqrt(accel * length_mm))
+        ramp_mm = speed_mm_s**2 / (2.0 * accel)
+        if along_mm > length_mm / 2.0:
+            return length_mm / speed_mm_s + speed_mm_s / accel - self.longest_s(length_mm - along_mm)
+        if along_mm < ramp_mm:
+            return math.sqrt(2.0 * along_mm / accel)
+        return speed_mm_s / accel + (along_mm - ramp_mm) / speed_mm_s
 
 
 @dataclass(frozen=True, slots=True)
 class _Sample:
     instruction: int
-    position_mm: Xyz
+    along_mm: float
     asked_s: float
     answered_s: float
 
@@ -59,32 +75,50 @@ class MotionSpeed:
 
     def __init__(self) -> None:
         """Nothing is measured yet."""
-        self._last: _Sample | None = None
+        self._first: _Sample | None = None
+        self._share: float | None = None
+        """Of the present span, so far."""
         self._slow: list[float] = []
+        self._starts = True
+        self._ignored: int | None = None
+        """The instruction in which motion started: the tool may have begun in its middle."""
 
     @property
     def share(self) -> float | None:
         """Fraction of the commanded speed at which the tool moves, at most; None where it is not known to be slow."""
-        return max(self._slow[-SLOW_PAIRS:]) if len(self._slow) >= SLOW_PAIRS else None
+        return max(self._slow) if len(self._slow) >= SLOW_SPANS else None
 
     def interrupt(self) -> None:
-        """Motion stops or starts: no pair of poses goes across."""
-        self._last = None
+        """Motion stops or starts: no span goes across."""
+        self._first, self._share, self._starts = None, None, True
 
     def add(self, instruction: int, move: StraightMove | None, position_mm: Xyz, asked_s: float, at_s: float) -> None:
         """Add a pose while an instruction is executed; ``move`` is None where it is not a straight move.
 
         ``asked_s`` and ``at_s`` are the times of the request and of its answer.
         """
-        before, self._last = self._last, _Sample(instruction, position_mm, asked_s, at_s)
-        if move is None or before is None or before.instruction != instruction:
+        if self._starts:
+            self._starts, self._ignored = False, instruction
+        if self._first is not None and instruction != self._first.instruction:
+            self._end()
+        along_mm = None if move is None or instruction == self._ignored else move.along_mm(position_mm)
+        if move is None or along_mm is None:
             return
-        least = min(move.full_share(before.position_mm), move.full_share(position_mm))
-        shortest_s = asked_s - before.answered_s
-        if least < FULL or shortest_s <= 0.0:
+        first = self._first
+        if first is None:
+            self._first = _Sample(instruction, along_mm, asked_s, at_s)
             return
-        share = math.dist(before.position_mm, position_mm) / shortest_s / (least * move.speed_mm_s)
-        if share < SLOW:
-            self._slow = [*self._slow, share][-SLOW_PAIRS:]
-        else:
+        shortest_s = asked_s - first.answered_s
+        if shortest_s > 0.0:
+            self._share = (move.longest_s(along_mm) - move.longest_s(first.along_mm)) / shortest_s
+        if shortest_s >= SPAN_S:
+            self._end()
+            self._first = _Sample(instruction, along_mm, asked_s, at_s)
+
+    def _end(self) -> None:
+        """End the span."""
+        share, self._first, self._share = self._share, None, None
+        if share is not None and share < SLOW:
+            self._slow = [*self._slow, share][-SLOW_SPANS:]
+        elif share is not None:
             self._slow.clear()
