@@ -156,7 +156,7 @@ class RmiProgramTracker(ProgramTracker):
         if self.answered < self.sent:
             x, y, z = snapshot.pose[:3]
             move = self.instructions[self.answered].move
-            self.speed.add(self.answered, move, (x, y, z), snapshot.asked_s, snapshot.answered_s)
+            self.speed.add(self.answered, move, (x, y, z), snapshot.pose_times)
 
     def pass_idle(self) -> None:
         """Record the next lines that neither move nor wait; the program is held at its target, or done at its end."""

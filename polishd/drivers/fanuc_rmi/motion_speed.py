@@ -1,8 +1,9 @@
 """Speed of the tool from the poses that the controller reports, against the speed that its instructions command.
 
 It is independent of the speed override that the controller reports. A span is the way between two poses well inside
-one straight move. The time that it took is compared with the time at full speed: the shortest time that the requests
-and answers allow, with the longest at full speed and low acceleration. So a slow span is proven to be slow.
+one straight move. The time that it took is compared with the longest that it takes at full speed with low acceleration.
+It is the difference of the controller's time tags, if the times of the requests and answers confirm it; otherwise the
+shortest that those allow. So a slow span is proven to be slow.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 LEAST_ACCEL_MM_S2 = 200.0
 """Acceleration that each controller has at least."""
-FULL = 0.7
+FULL = 0.4
 """A pose counts where the tool has at least this fraction of its commanded speed."""
 ASIDE_MM = 0.1
 """Largest distance of a pose from the straight line between both ends of its move."""
@@ -63,11 +64,30 @@ class StraightMove:
 
 
 @dataclass(frozen=True, slots=True)
+class PoseTimes:
+    """Times of one pose."""
+
+    asked_s: float
+    """Time of the request."""
+    answered_s: float
+    """Time of the answer."""
+    tag_ms: int | None = None
+    """Time tag of the controller."""
+
+    def least_s_until(self, later: PoseTimes) -> float:
+        """Return the least time between two poses."""
+        shortest_s, longest_s = later.asked_s - self.answered_s, later.answered_s - self.asked_s
+        if self.tag_ms is None or later.tag_ms is None:
+            return shortest_s
+        tagged_s = (later.tag_ms - self.tag_ms) / 1000.0
+        return tagged_s if shortest_s <= tagged_s <= longest_s else shortest_s
+
+
+@dataclass(frozen=True, slots=True)
 class _Sample:
     instruction: int
     along_mm: float
-    asked_s: float
-    answered_s: float
+    times: PoseTimes
 
 
 class MotionSpeed:
@@ -92,11 +112,8 @@ class MotionSpeed:
         """Motion stops or starts: no span goes across."""
         self._first, self._share, self._starts = None, None, True
 
-    def add(self, instruction: int, move: StraightMove | None, position_mm: Xyz, asked_s: float, at_s: float) -> None:
-        """Add a pose while an instruction is executed; ``move`` is None where it is not a straight move.
-
-        ``asked_s`` and ``at_s`` are the times of the request and of its answer.
-        """
+    def add(self, instruction: int, move: StraightMove | None, position_mm: Xyz, times: PoseTimes) -> None:
+        """Add a pose while an instruction is executed; ``move`` is None where it is not a straight move."""
         if self._starts:
             self._starts, self._ignored = False, instruction
         if self._first is not None and instruction != self._first.instruction:
@@ -106,14 +123,14 @@ class MotionSpeed:
             return
         first = self._first
         if first is None:
-            self._first = _Sample(instruction, along_mm, asked_s, at_s)
+            self._first = _Sample(instruction, along_mm, times)
             return
-        shortest_s = asked_s - first.answered_s
-        if shortest_s > 0.0:
-            self._share = (move.longest_s(along_mm) - move.longest_s(first.along_mm)) / shortest_s
-        if shortest_s >= SPAN_S:
+        least_s = first.times.least_s_until(times)
+        if least_s > 0.0:
+            self._share = (move.longest_s(along_mm) - move.longest_s(first.along_mm)) / least_s
+        if least_s >= SPAN_S:
             self._end()
-            self._first = _Sample(instruction, along_mm, asked_s, at_s)
+            self._first = _Sample(instruction, along_mm, times)
 
     def _end(self) -> None:
         """End the span."""

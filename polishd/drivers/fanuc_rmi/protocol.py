@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from polishd.api import ByteStream, DeviceBusy, DeviceRefused, LinkError, ProtocolError, RobotTimes
+from polishd.drivers.fanuc_rmi.motion_speed import PoseTimes
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Ready, RequestQueue
 from polishd.drivers.transport.claims import claim_address
@@ -117,10 +118,7 @@ class RmiSnapshot:
 
     time_s: float
     """Time of the request."""
-    asked_s: float
-    """Time of the request of the pose."""
-    answered_s: float
-    """Time of the answer with the pose."""
+    pose_times: PoseTimes
     status: RmiStatus
     pose: tuple[float, ...]
     """X, Y, Z in mm, W, P, R in deg."""
@@ -223,13 +221,14 @@ class RmiSession(Background):
         status = await self.status()
         asked_s = time.monotonic()
         answer = await self.command("FRC_ReadCartesianPosition")
-        answered_s = time.monotonic()
+        tag = answer.get("TimeTag")
+        times = PoseTimes(asked_s, time.monotonic(), tag if isinstance(tag, int) else None)
         try:
             position = answer["Position"]
             pose = tuple(float(position[axis]) for axis in "XYZWPR")
         except (KeyError, TypeError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_ReadCartesianPosition was answered without {error}") from error
-        return RmiSnapshot(began_s, asked_s, answered_s, status, pose, self.is_busy)
+        return RmiSnapshot(began_s, times, status, pose, self.is_busy)
 
     async def send(self, sequence: int, fields: Mapping[str, Any]) -> None:
         """Send an instruction, once. Its answer goes to ``on_executed``."""

@@ -6,11 +6,16 @@ import math
 
 import pytest
 
-from polishd.drivers.fanuc_rmi.motion_speed import LEAST_ACCEL_MM_S2, SLOW_SPANS, MotionSpeed, StraightMove
+from polishd.drivers.fanuc_rmi.motion_speed import LEAST_ACCEL_MM_S2, SLOW_SPANS, MotionSpeed, PoseTimes, StraightMove
 from tests.unit.drivers.fanuc_rmi.test_program import read
 
 POLL_S, TRIP_S = 0.04, 0.003
 MOVE = StraightMove((0.0, 0.0, 0.0), (0.0, 3.0, 0.0), 20.0)
+
+
+def times(asked_s: float, late_s: float = 0.0) -> PoseTimes:
+    """Of a pose at once."""
+    return PoseTimes(asked_s, asked_s + late_s)
 
 
 def travelled_mm(time_s: float, length_mm: float, speed_mm_s: float, accel_mm_s2: float) -> float:
@@ -29,14 +34,14 @@ def after(
 ) -> MotionSpeed:
     """The move, so often, from rest to rest, with all times stretched by an override."""
     found, phase_s = MotionSpeed(), 0.0
-    found.add(-1, None, move.begin_mm, 0.0, 0.0)
+    found.add(-1, None, move.begin_mm, times(0.0))
     length_mm = math.dist(move.begin_mm, move.end_mm)
     for number in range(count):
         for poll in range(200):
             at_s = phase_s + poll * POLL_S
             way = travelled_mm(at_s * share, length_mm, move.speed_mm_s, accel_mm_s2) / length_mm
             x, y, z = (b + (e - b) * way for b, e in zip(move.begin_mm, move.end_mm, strict=True))
-            found.add(number, move, (x, y, z), 10.0 * number + at_s, 10.0 * number + at_s + late_s)
+            found.add(number, move, (x, y, z), times(10.0 * number + at_s, late_s))
             if way >= 1.0:
                 break
         phase_s = (phase_s + 0.011) % POLL_S
@@ -68,7 +73,7 @@ def test_late_answers_are_not_slow_motion() -> None:
 def test_one_span_at_full_speed_begins_anew() -> None:
     found = after(MOVE, 8, 0.5)
     for number, position in ((98, 0.6), (98, 1.8), (98, 2.4), (99, 0.0)):
-        found.add(number, MOVE, (0.0, position, 0.0), 500.0 + position / 20.0, 500.0 + position / 20.0)
+        found.add(number, MOVE, (0.0, position, 0.0), times(500.0 + position / 20.0))
     assert found.share is None
 
 
@@ -81,9 +86,9 @@ def test_poses_beside_the_line_across_moves_or_an_interruption_do_not_count(
 ) -> None:
     long = StraightMove((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), 20.0)
     found = MotionSpeed()
-    found.add(0, None, (0.0, 0.0, 0.0), 0.0, 0.0)
+    found.add(0, None, (0.0, 0.0, 0.0), times(0.0))
     for number in range(1, 3 * SLOW_SPANS):
-        found.add(1 + number * step, long, (40.0 + number * 0.1, aside_mm, 0.0), 1.0 * number, 1.0 * number)
+        found.add(1 + number * step, long, (40.0 + number * 0.1, aside_mm, 0.0), times(1.0 * number))
         if interrupted:
             found.interrupt()
     assert (found.share is not None) == slow
@@ -93,7 +98,7 @@ def test_a_move_that_starts_in_its_middle_does_not_count() -> None:
     found = MotionSpeed()
     found.interrupt()
     for number in range(20):
-        found.add(5, MOVE, (0.0, 1.5 + 0.01 * number, 0.0), 0.3 * number, 0.3 * number)
+        found.add(5, MOVE, (0.0, 1.5 + 0.01 * number, 0.0), times(0.3 * number))
     assert found.share is None
 
 
@@ -106,3 +111,10 @@ def test_moves_of_a_program_have_their_ends_and_speed() -> None:
     assert timed.move is not None
     assert timed.move.speed_mm_s == pytest.approx(20.0)
     assert back.move is None
+
+
+def test_a_time_tag_counts_if_requests_and_answers_confirm_it() -> None:
+    first = PoseTimes(10.0, 10.05, 1000)
+    assert first.least_s_until(PoseTimes(10.2, 10.25, 1210)) == pytest.approx(0.21)
+    assert first.least_s_until(PoseTimes(10.2, 10.25, 1100)) == pytest.approx(0.15), "another unit"
+    assert first.least_s_until(PoseTimes(10.2, 10.25)) == pytest.approx(0.15)
