@@ -123,6 +123,9 @@ class ProgramFormat:
     misreads: Callable[[OwnLines], str] | None = None
     """(lines that a robot's driver adds) -> the first one with another meaning in this format, and that meaning; empty:
     none. None: the format does not know."""
+    made_like: Callable[[bytes, str], ProgramFormat] | None = None
+    """(content of a program, name for messages) -> this format, whose ``make`` writes for the controller's tool and
+    frame of that program; ProgramError where it cannot. None: programs name neither."""
 
 
 NO_MAP = b"?\n"

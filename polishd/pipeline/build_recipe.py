@@ -10,7 +10,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.instrument_profile import InstrumentProfile, load_profile
 from polishd.config.toml_loader import did_you_mean, join_words
 from polishd.hookspecs import Learner, RemovalModel, SurfaceReader
-from polishd.model.errors import ConfigError, SurfaceError
+from polishd.model.errors import ConfigError, ProgramError, SurfaceError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.part_handling import between_of, touch_off_of
@@ -105,6 +105,11 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
     """Build the input of the computing steps; ConfigError names a key that no loaded plugin serves."""
     solvers = hooks.dwell_solvers()
     program = _named(config, "program.format", config.program.format, hooks.program_formats())
+    if config.touch_off is not None and program.made_like is not None and config.program_path.is_file():
+        try:  # the touch-off moves in the same frame
+            program = program.made_like(config.program_path.read_bytes(), config.program_path.name)
+        except ProgramError as error:
+            raise config.error("touch_off", str(error)) from error
     instrument = instrument_of(config)
     cross_check = config.dwell.cross_check
     return Recipe(

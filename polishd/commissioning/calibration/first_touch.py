@@ -22,8 +22,9 @@ from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import load_cell
 from polishd.plugins.removal_models import BELIEVED, blocks_along, measured_spot_of, modelled_spot_of, path_of
-from polishd.plugins.rnc_robot.dialect import dialect
-from polishd.plugins.rnc_robot.formats import path_program, read
+from polishd.plugins.rnc_robot.dialect import AnyDialect, dialect
+from polishd.plugins.rnc_robot.formats import made_like, path_program, read
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.process.frames import directions_to_base, points_to_base
 from polishd.process.identification.experiment_design import (
     FIELD_WANTED,
@@ -95,6 +96,8 @@ class _Cell:
     recipe: Recipe
     radius_mm: float
     """Of the contact."""
+    dialect: AnyDialect
+    """Of the program, for the tool and the frame that the cell's own program names."""
 
     @property
     def noise_nm(self) -> float:
@@ -125,8 +128,8 @@ class _Cell:
         path, axes = self.joined(tracks)
         points, own = in_program_frame(self.config, path.points_mm, axes)
         feed = 60 * speed_mm_s[path.track]  # BETWEEN is the last one
-        text = path_program(points, own, feed, "first touch", to=dialect_of(self.config))
-        program = read(dialect(dialect_of(self.config)), text, NAME)
+        text = path_program(points, own, feed, "first touch", to=self.dialect)
+        program = read(self.dialect, text, NAME)
         if program.n != len(path.track):
             raise ComputeError(f"the touch's program has {program.n} timed moves, its path {len(path.track)}")
         return text, program, path
@@ -158,7 +161,10 @@ def as_touched(recipe: Recipe) -> Recipe:
 
 def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> FirstTouchPlan:
     """Tracks, their times and their program, and what is expected to be known after it. ComputeError, ConfigError."""
-    cell = _Cell(config, recipe, contact_radius_mm(config))
+    own = dialect(dialect_of(config))
+    if isinstance(own, LanguageProfile) and config.program_path.is_file():
+        own = made_like(own, config.program_path.read_bytes(), config.program_path.name)
+    cell = _Cell(config, recipe, contact_radius_mm(config), own)
     pool = _pool(cell)
     slow = config.machine.min_feed_mm_s
     _, program, path = cell.program(pool, np.full(len(pool) + 1, slow))

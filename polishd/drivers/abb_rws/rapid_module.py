@@ -1,8 +1,8 @@
-"""RAPID module for the controller: the plan's lines, with a report of each point, and a stop where the plan has one.
+r"""RAPID module for the controller: the plan's lines, with a report of each point, and a stop where the plan has one.
 
-Positions, speeds and times of the lines are unchanged. A move to a fly-by point gets a trigger at the point, because
-the program pointer runs ahead of the motion; after a stop point and after a wait, a call reports
-(docs/protocols/abb_rws.md).
+Positions, speeds and times of the lines are unchanged; a ``\V``, which a trigger cannot have, becomes speeddata. A move
+to a fly-by point gets a trigger at the point, because the program pointer runs ahead of the motion; after a stop point
+and after a wait, a call reports (docs/protocols/abb_rws.md).
 """
 
 from __future__ import annotations
@@ -72,6 +72,9 @@ _BRANCHES = re.compile(
     re.IGNORECASE,
 )
 _FINE = re.compile(rb"\s*(?:fine\b|\[\s*TRUE\b)", re.IGNORECASE)
+_OWN_SPEED = re.compile(rb"\s*v\d+\s*\\V:=\s*([\d.]+)\s*", re.IGNORECASE)
+"""A speed that RAPID declares, with another value for the tool; its other values are those of ``_SPEED``."""
+_SPEED = b"[%b,500,5000,1000]"
 _TARGETS = {b"L": 1, b"J": 1, b"C": 2, b"ABSJ": 1}
 """Arguments before the speed, by kind of move."""
 
@@ -120,9 +123,12 @@ def _classified(seq: int, raw: bytes) -> RapidLine:
     if len(arguments) != zone + 2:
         raise DeviceRefused(f"block {seq}: a Move{match[2].decode()} has {zone + 2} arguments, not {len(arguments)}.")
     flies_by = _FINE.match(arguments[zone]) is None
-    speed = arguments[zone - 1].replace(b" ", b"").upper()
-    if flies_by and kind != b"ABSJ" and b"\\V:=" in speed:
-        raise DeviceRefused(f"block {seq}: \\V cannot be combined with a trigger. Post the speed as speeddata or \\T.")
+    speed = arguments[zone - 1]
+    has_own = b"\\V:=" in speed.replace(b" ", b"").upper()
+    if flies_by and kind != b"ABSJ" and has_own and not _OWN_SPEED.fullmatch(speed):
+        raise DeviceRefused(
+            f"block {seq}: a trigger has no \\V, and the speed is none of v5 to v7000. Post speeddata or \\T."
+        )
     return RapidLine(line, acts=True, moves=True, flies_by=flies_by, joints=kind == b"ABSJ")
 
 
@@ -148,13 +154,15 @@ def _arguments(text: bytes) -> list[bytes]:
 
 
 def _with_trigger(line: bytes, number: int) -> bytes:
-    """Return a move to a fly-by point as the instruction with a trigger; the arguments are unchanged."""
+    """Return a move to a fly-by point as the instruction with a trigger; its arguments mean the same."""
     code = _code(line)
     match = _ACTS.match(code)
     if match is None or match[2] is None:
         return line
     arguments = _arguments(code[match.end() :])
     zone = _TARGETS[match[2].upper()] + 1
+    if own := _OWN_SPEED.fullmatch(arguments[zone - 1]):
+        arguments[zone - 1] = _SPEED % own[1]
     head = code[: match.start(1)] + b"Trigg" + match[2]
     arguments.insert(zone, b"polishd_p%d" % (number % TRIGGERS))
     return head + b",".join(arguments) + line[len(code) :]

@@ -323,6 +323,47 @@ def make(dialect: AnyDialect, points_mm: FloatArray, axis: FloatArray, feed_mm_m
     return path_program(points_mm, axis, feed_mm_min, name, to=dialect)
 
 
+INDEX = re.compile(r"[A-Za-z_$#]*[\[,]?(\d+)\]?")
+"""A tool or a frame as a number of the controller: ``3``, ``TOOL_DATA[3]``, ``#TOOL,3``, ``P_Tool3``."""
+
+
+def made_like(profile: LanguageProfile, text: bytes, name: str) -> LanguageProfile:
+    """The profile whose programs are made for the tool and the frame of the program ``text``.
+
+    ProgramError where the program names none, or where a program that is made cannot name them.
+    """
+    if profile.make is None:
+        return profile
+    wanted = languages.tool_and_frame(profile, text, name)
+    points, axes = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]] * 2)
+    for written in (_name, _index):  # as it is, or where a made program has the number only
+        names = {key: written(value) for key, value in zip(("tool", "frame"), wanted, strict=True) if value}
+        made = profile.model_copy(update={"make": profile.make.model_copy(update=names)})
+        sample = languages.tool_and_frame(made, make(made, points, axes, 600.0, name), name)
+        if [*map(written, sample)] == [*map(written, wanted)]:
+            return made
+    tool, frame = (value or "none" for value in wanted)
+    raise ProgramError(
+        f"{name}: its moves name tool {tool} and frame {frame}; a program made in {profile.name} cannot name the same. "
+        "To do: name both in the program, as a made program does."
+    )
+
+
+def _name(written: str | None) -> str:
+    return written or ""
+
+
+def _index(written: str | None) -> str:
+    """The number of a tool or a frame; its name where it has none."""
+    found = INDEX.fullmatch(written or "")
+    return found[1] if found else written or ""
+
+
+def made_like_shipped(name: str, text: bytes, of: str) -> ProgramFormat:
+    """As `format_made_like`, in the shipped dialect of that name."""
+    return format_made_like(shipped(name), text, of)
+
+
 def read_shipped(name: str, text: bytes, of: str) -> Program:
     """As `read`, in the shipped dialect of that name."""
     return read(shipped(name), text, of)
@@ -352,14 +393,25 @@ def shipped_formats() -> list[ProgramFormat]:
             partial(rewrite_shipped, name),
             partial(make_shipped, name),
             partial(find_misread_line_shipped, name),
+            partial(made_like_shipped, name),
         )
         for name in DIALECTS
     ]
+
+
+def format_made_like(dialect: AnyDialect, text: bytes, name: str) -> ProgramFormat:
+    """As `made_like`; NC text names no tool and no frame."""
+    return format_of(made_like(dialect, text, name) if isinstance(dialect, LanguageProfile) else dialect)
 
 
 def format_of(dialect: AnyDialect) -> ProgramFormat:
     """What the daemon knows of a dialect."""
     made = partial(make, dialect) if isinstance(dialect, GcodeDialect) or dialect.make is not None else None
     return ProgramFormat(
-        dialect.name, partial(read, dialect), partial(rewrite, dialect), made, partial(find_misread_line, dialect)
+        dialect.name,
+        partial(read, dialect),
+        partial(rewrite, dialect),
+        made,
+        partial(find_misread_line, dialect),
+        partial(format_made_like, dialect),
     )

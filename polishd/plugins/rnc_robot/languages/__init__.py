@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from polishd.plugins.rnc_robot.languages.move_times import recode_moves
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
-from polishd.plugins.rnc_robot.languages.program import read, rewrite, split
+from polishd.plugins.rnc_robot.languages.program import read, rewrite, split, tool_and_frame
 
-__all__ = ["LanguageProfile", "parse", "read", "recode_moves", "rewrite", "split"]
+__all__ = ["LanguageProfile", "parse", "read", "recode_moves", "rewrite", "split", "tool_and_frame"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count
@@ -68,7 +69,9 @@ def orientations(profile: LanguageProfile, axis: FloatArray) -> FloatArray:
     if notation.convention == "quaternion":
         return np.asarray(rotation.as_quat(canonical=True)[:, [3, 0, 1, 2]])
     if notation.convention == "euler_deg":
-        return np.asarray(rotation.as_euler(notation.axes, degrees=True))
+        with warnings.catch_warnings():  # an upright tool may be at the angles' pole, where the third is taken as 0
+            warnings.simplefilter("ignore", UserWarning)
+            return np.asarray(rotation.as_euler(notation.axes, degrees=True))
     return np.asarray(rotation.as_rotvec())
 
 

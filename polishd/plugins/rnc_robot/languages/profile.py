@@ -241,6 +241,8 @@ class MakeForm(_Strict):
     tool: str = ""
     frame: str = ""
     """``<tool>`` and ``<frame>``: the names or numbers of the controller."""
+    unnamed_frame: str = ""
+    """Frame of a move that names none; empty: it is not known."""
     name: Annotated[str, Field(min_length=1)] = "POLISH"
     """``<program>``"""
     ending: Literal["lf", "crlf"] = "lf"

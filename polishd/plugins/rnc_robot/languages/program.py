@@ -22,7 +22,7 @@ from polishd.plugins.rnc_robot.languages.columns import StatedBy, numbers, tool_
 from polishd.plugins.rnc_robot.languages.move_times import feed_unit, rewrite_moves, styled
 from polishd.plugins.rnc_robot.languages.parser import MatchedStatement, Scan, scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
-from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, locations, move_timing, timed_moves
+from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, context_of, locations, move_timing, timed_moves
 
 _UNITS = {1.0: "s", 0.001: "ms"}
 FEW = 4
@@ -54,6 +54,11 @@ def read(profile: LanguageProfile, text: bytes, name: str) -> Program:
         unit=_UNITS.get(profile.dwell.unit_s, f"{profile.dwell.unit_s:g} s"),
         warnings=tuple(_warnings(found, feed, len(points))),
     )
+
+
+def tool_and_frame(profile: LanguageProfile, text: bytes, name: str) -> tuple[str | None, ...]:
+    """Tool and frame of the controller that a program's points are written for; None: it does not name it."""
+    return context_of(scan(profile, text, name))
 
 
 def _read_moves(found: Scan, moves: TimedMoves) -> Program:

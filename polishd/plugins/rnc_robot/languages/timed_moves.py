@@ -74,6 +74,18 @@ def declared_positions(found: Scan, points: PointColumns | MoveColumns) -> IntAr
     return declared
 
 
+def context_of(found: Scan) -> Names:
+    """What a program's points are written for, as the language compares it; None where the program does not name it."""
+    points = found.points if len(found.points) or found.columns is None else found.columns
+    _, named = contexts(found, points, declared_positions(found, points))
+    if not named:
+        return None, None
+    own, of_position = named[-1][:2], named[-1][2:]
+    tool, frame = (a or b for a, b in zip(own, of_position, strict=True))
+    rest = found.profile.make.unnamed_frame if found.profile.make is not None else ""
+    return tool, frame or found.folded(rest) or None
+
+
 def _require_one_context(found: Scan, points: PointColumns | MoveColumns, wanted: IntArray, declared: IntArray) -> None:
     """ProgramError at the first wanted motion, in program order, to an unknown position or in another tool or frame."""
     unknown = (numbers(points.target)[wanted] != NONE) & (declared[wanted] == NONE)

@@ -39,6 +39,12 @@ def test_the_programs_lines_stay_but_for_the_trigger_of_a_fly_by_point() -> None
     assert [module.lines[at] for at, block in enumerate(module.block_of) if block >= 0] == kept
 
 
+def test_a_speed_that_a_trigger_cannot_have_becomes_speeddata() -> None:
+    lines = [b"MoveL p1,v100,z1,tool0;", b"MoveL p2,v100\\V:=7.5,z1,tool0;", b"MoveL p3,v100\\V:=7.5,fine,tool0;"]
+    own = [line for line in assemble(rapid_lines(lines), [], 7).lines if not line.endswith(MARK)]
+    assert own[1:] == [b"TriggL p2,[7.5,500,5000,1000],polishd_p2,z1,tool0;", lines[2]]
+
+
 def test_reports_say_how_many_blocks_are_executed_and_stop_before_the_next() -> None:
     module = assemble(rapid_lines(PROGRAM), [6, 8, 99], 7)
     assert module.stops == (6, 8)
@@ -63,7 +69,7 @@ def test_lines_without_a_module_become_one() -> None:
         (b"FOR i FROM 1 TO 3 DO", "block 1: FOR cannot be tracked"),
         (b"MoveL p1,v100,z1,tool0; MoveL p2,v100,z1,tool0;", "block 1: a line must hold one statement"),
         (b"MoveL p1,", "block 1: a line must hold one statement"),
-        (b"MoveL p1,v100\\V:=3,z1,tool0;", "block 1: .*V cannot be combined"),
+        (b"MoveL p1,vSlow\\V:=3,z1,tool0;", "block 1: a trigger has no .*V"),
         (b"MoveL p1,v100,z1;", "block 1: a MoveL has 4 arguments, not 3"),
         (b"TriggL p1,v100,t,z1,tool0;", "block 1: polishd adds the triggers"),
     ],
