@@ -14,8 +14,8 @@ import pytest
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.commissioned import forged
 from tests.patience import SOON_S
-from tests.system.cell_rig import Daemon, events, summary
-from tests.system.fanuc_rmi_rig import dwell_cell
+from tests.system.cell_rig import Daemon, account, events, summary
+from tests.system.fanuc_rmi_rig import RIMMED, dwell_cell
 from tests.system.sim_rig import alive, wait_for
 from tests.system.test_daemon import require_safe_order
 from tests.system.test_rehearsal import rehearsed
@@ -86,6 +86,18 @@ def test_a_daemon_that_dies_leaves_a_robot_that_ends_what_it_holds_and_moves_no_
             assert not [e for e in events(files)[before:] if e["event"] in ("motion_started", "force_on")]
             daemon.end()
         assert not alive(daemon.process.pid)
+
+
+def test_the_seat_is_touched_off_at_three_places_by_tp_programs(tmp_path: Path) -> None:
+    with dwell_cell(tmp_path / "cell", part=RIMMED, touch_off=True, **ONE_PASS) as files:
+        with Daemon(files, "--no-hold") as daemon:
+            daemon.wait_in_contact(EARLY)
+            daemon.end()
+        wait_for(lambda: events(files, "motion_started", "motion_stopped")[-1]["event"] == "motion_stopped", "rest")
+    touched = account(files)["stands"][:3]
+    assert json.loads((files.run_dir / "cycle-00/touch_off.json").read_text())["seat"]
+    assert all(stand["most_n"] <= 1.5 and stand["most_rpm"] == 0.0 for stand in touched), touched
+    assert [(round(stand["x_mm"]), round(stand["y_mm"])) for stand in touched] == [(0, 5), (-4, -2), (4, -2)], touched
 
 
 @pytest.mark.timeout(6 * SOON_S)
