@@ -26,6 +26,7 @@ from polishd.util.address_claims import Claim
 MOST_OUTSTANDING = 8
 """Instructions that the controller holds, the one under way among them."""
 LONGEST_ANSWER = 4096
+LONGEST_ERROR = 120
 CONNECT_S = 1.0
 DISCONNECT_S = 0.3
 BUSY_S, BUSY_PAUSE_S = 1.0, 0.1
@@ -35,11 +36,12 @@ IDLE_READ_S = 3600.0
 FIRST_ERROR = 2556928
 ALREADY_CONNECTED, NOT_RUNNING, IN_HOLD = FIRST_ERROR + 26, FIRST_ERROR + 9, FIRST_ERROR + 24
 INVALID_STATE = FIRST_ERROR + 15
-PROGRAM_EXISTS = 7015
+BAD_TOOL, BAD_FRAME, CANNOT_RUN = FIRST_ERROR + 2, FIRST_ERROR + 3, FIRST_ERROR + 6
+PROGRAM_IN_USE, PROGRAM_EXISTS = 7004, 7015
 _ERRORS = {
-    FIRST_ERROR + 2: "invalid user tool number",
-    FIRST_ERROR + 3: "invalid user frame number",
-    FIRST_ERROR + 6: "the TP program cannot be executed",
+    BAD_TOOL: "invalid user tool number",
+    BAD_FRAME: "invalid user frame number",
+    CANNOT_RUN: "the TP program cannot be executed",
     FIRST_ERROR + 7: "the servos are off",
     FIRST_ERROR + 8: "the teach pendant is enabled",
     NOT_RUNNING: "RMI is not running",
@@ -61,17 +63,26 @@ _ERRORS = {
     FIRST_ERROR + 33: "invalid termination value",
     FIRST_ERROR + 36: "the target cannot be reached",
     FIRST_ERROR + 43: "single-step mode is on",
+    PROGRAM_IN_USE: "the program RMI_MOVE is in use",
     PROGRAM_EXISTS: "the program RMI_MOVE is selected at the teach pendant",
+}
+_REMEDIES = {
+    BAD_TOOL: "Set up the user tool of the program at the controller, or have the program posted in another",
+    BAD_FRAME: "Set up the user frame of the program at the controller, or have the program posted in another",
+    CANNOT_RUN: "Set the controller to remote, and release its hold and fence inputs",
+    PROGRAM_IN_USE: "End the other program at the pendant",
+    PROGRAM_EXISTS: "Select another program at the pendant",
 }
 RUNNING, PAUSED = 1, 2
 """``ProgramStatus`` of RMI_MOVE."""
 
 
 def error_text(number: int) -> str:
-    """Return an ErrorID as ``RMIT-029, invalid sequence number (2556957)``."""
+    """Return an ErrorID as ``RMIT-029, invalid sequence number (2556957)``, with a remedy where it has one."""
     text = _ERRORS.get(number, "see the controller's manual")
     code = f"RMIT-{number - FIRST_ERROR:03d}, " if 0 < number - FIRST_ERROR < 100 else ""
-    return f"{code}{text} ({number})"
+    remedy = f". {_REMEDIES[number]}." if number in _REMEDIES else ""
+    return f"{code}{text} ({number}){remedy}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +112,12 @@ class RmiStatus:
             None if percent is None else float(percent) / 100.0,
         )
 
-    def obstacle(self) -> str:
-        """Return why the controller would not run a program; empty if it would."""
+    def obstacle(self, mode: str = "") -> str:
+        """Return why the controller would not run a program; empty if it would. ``mode`` is empty if unknown."""
         if self.pendant_enabled:
             return "the teach pendant is enabled (switch it off and the controller to AUTO)"
+        if mode not in ("", "AUTO"):
+            return f"the controller is in {mode} (turn the mode switch to AUTO)"
         if not self.servo_ready:
             return "the servos are not ready (release the emergency stop, reset the fault at the pendant)"
         if self.single_step:
@@ -139,12 +152,12 @@ class RmiSession(Background):
         address: Tcp,
         times: RobotTimes,
         on_executed: Callable[[int, int], None] = lambda _sequence, _error: None,
-        on_fault: Callable[[str], None] = lambda _why: None,
+        on_fault: Callable[[], Awaitable[None]] | None = None,
         on_credit: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         """``on_executed`` gets the sequence number and the ErrorID of each answered instruction.
 
-        ``on_credit`` is awaited afterwards, in a task of the session.
+        ``on_credit`` is awaited afterwards, and ``on_fault`` after a fault of the robot, in tasks of the session.
         """
         super().__init__(str(address))
         self.firmware = ""
@@ -155,7 +168,7 @@ class RmiSession(Background):
         self._address = address
         self._silence_s, self._watchdog_s = times.silence_s, times.watchdog_s
         self._on_executed, self._on_fault, self._on_credit = on_executed, on_fault, on_credit
-        self._has_credit = asyncio.Event()
+        self._has_credit, self._has_fault = asyncio.Event(), asyncio.Event()
         self._queue = RequestQueue(self.name)
         self._stream: ByteStream | None = None
         self._claim = Claim()
@@ -214,6 +227,22 @@ class RmiSession(Background):
             return RmiStatus.of(answer)
         except (KeyError, TypeError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_GetStatus was answered without {error}") from error
+
+    async def control_mode(self) -> str:
+        """Return ``AUTO``, ``T1`` or ``T2``; empty where the controller does not report it."""
+        try:
+            answer = await self.command("FRC_GetExtStatus")
+        except DeviceRefused:  # older versions have no such command
+            return ""
+        return str(answer.get("ControlMode") or "")
+
+    async def latest_error(self) -> str:
+        """Return the latest error of the controller as it words it; empty if it has none."""
+        try:
+            answer = await self.command("FRC_ReadError", urgent=True, Count=1)
+        except DeviceRefused:
+            return ""
+        return str(answer.get("ErrorData") or "").strip()[:LONGEST_ERROR]
 
     async def look(self) -> RmiSnapshot:
         """Return status and pose."""
@@ -290,14 +319,8 @@ class RmiSession(Background):
     async def _run(self, ready: Ready) -> None:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._receive(ready))
-            group.create_task(self._use_credit())
-
-    async def _use_credit(self) -> None:
-        while True:
-            await self._has_credit.wait()
-            self._has_credit.clear()
-            if self._on_credit is not None:
-                await self._on_credit()
+            group.create_task(_each(self._has_credit, self._on_credit))
+            group.create_task(_each(self._has_fault, self._on_fault))
 
     async def _receive(self, ready: Ready) -> None:
         stream = self._stream
@@ -326,7 +349,7 @@ class RmiSession(Background):
         elif message.get("Command") == self._expected and self._answer is not None and not self._answer.done():
             self._answer.set_result(message)
         elif message.get("Communication") == "FRC_SystemFault":
-            self._on_fault("the controller reports a fault")
+            self._has_fault.set()
         elif message.get("Communication") in ("FRC_Terminate", "FRC_Disconnect"):
             raise LinkError(f"{self.name}: the controller ended the session")
         elif self._expected and self._answer is not None and not self._answer.done() and "Command" not in message:
@@ -344,6 +367,14 @@ class RmiSession(Background):
         self.outstanding.remove(sequence)
         self._on_executed(sequence, error)
         self._has_credit.set()
+
+
+async def _each(event: asyncio.Event, action: Callable[[], Awaitable[None]] | None) -> None:
+    """Act whenever the event is set."""
+    while action is not None:
+        await event.wait()
+        event.clear()
+        await action()
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
