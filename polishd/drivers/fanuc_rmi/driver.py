@@ -448,10 +448,11 @@ class FanucRmi:
 
     async def _select_frames(self, session: RmiSession, uframe: int, utool: int) -> None:
         """Select the frames of the program's positions. DeviceRefused if the controller does not work in them."""
-        frames = {"UFrameNumber": uframe, "UToolNumber": utool}
-        await session.command("FRC_SetUFrameUTool", **frames, Group=self._group, within_s=ACTION_S)
+        await session.command(
+            "FRC_SetUFrameUTool", UFrameNumber=uframe, UToolNumber=utool, Group=self._group, within_s=ACTION_S
+        )
         answer = await session.command("FRC_GetUFrameUTool", Group=self._group)
-        if any(answer.get(name) != number for name, number in frames.items()):
+        if (answer.get("UFrameNumber"), answer.get("UToolNumber")) != (uframe, utool):
             raise DeviceRefused(
                 f"{self._name}: the controller works in user frame {answer.get('UFrameNumber')} and user tool "
                 f"{answer.get('UToolNumber')}, the program in {uframe} and {utool}. Select those at the pendant."
@@ -506,7 +507,7 @@ class FanucRmi:
             await session.command("FRC_Reset", within_s=ACTION_S)
             self._is_held_up = False
         answer = await session.command("FRC_Initialize", within_s=ACTION_S, allow=IN_HOLD, GroupMask=self._group)
-        if int(answer.get("ErrorID", 0)) == IN_HOLD:
+        if answer.get("ErrorID") == IN_HOLD:
             await session.command("FRC_Reset", within_s=ACTION_S)
             await session.command("FRC_Initialize", within_s=ACTION_S, GroupMask=self._group)
 

@@ -27,6 +27,8 @@ MOST_OUTSTANDING = 8
 """Instructions that the controller holds, the one under way among them."""
 LONGEST_ANSWER = 4096
 LONGEST_ERROR = 120
+LARGEST = 1e9
+"""Largest number in an answer."""
 CONNECT_S = 1.0
 DISCONNECT_S = 0.3
 BUSY_S, BUSY_PAUSE_S = 1.0, 0.1
@@ -100,16 +102,16 @@ class RmiStatus:
 
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> RmiStatus:
-        """Parse an answer; KeyError, TypeError or ValueError if it is none."""
+        """Parse an answer; KeyError or ValueError if it is none."""
         percent = answer.get("Override")
         return cls(
-            bool(answer["ServoReady"]),
-            bool(answer["TPMode"]),
-            bool(answer["RMIMotionStatus"]),
-            int(answer["ProgramStatus"]),
-            bool(answer.get("SingleStepMode", 0)),
-            int(answer.get("NextSequenceID", 1)),
-            None if percent is None else float(percent) / 100.0,
+            bool(_whole(answer, "ServoReady")),
+            bool(_whole(answer, "TPMode")),
+            bool(_whole(answer, "RMIMotionStatus")),
+            _whole(answer, "ProgramStatus"),
+            bool(_whole(answer, "SingleStepMode")),
+            _whole(answer, "NextSequenceID"),
+            None if percent is None else _real(answer, "Override") / 100.0,
         )
 
     def obstacle(self, mode: str = "") -> str:
@@ -215,7 +217,7 @@ class RmiSession(Background):
         self.check()
         limit_s = within_s or self._silence_s
         answer = await self._queue.ask(lambda: self._exchange(name, fields, limit_s), urgent=urgent)
-        error = int(answer.get("ErrorID", 0))
+        error = self._error_of(answer)
         if error not in (0, allow):
             raise DeviceRefused(f"{self.name}: {name} was refused: {error_text(error)}")
         return answer
@@ -225,7 +227,7 @@ class RmiSession(Background):
         answer = await self.command("FRC_GetStatus")
         try:
             return RmiStatus.of(answer)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_GetStatus was answered without {error}") from error
 
     async def control_mode(self) -> str:
@@ -251,10 +253,10 @@ class RmiSession(Background):
         asked_s = time.monotonic()
         answer = await self.command("FRC_ReadCartesianPosition")
         tag = answer.get("TimeTag")
-        times = PoseTimes(asked_s, time.monotonic(), tag if isinstance(tag, int) else None)
+        times = PoseTimes(asked_s, time.monotonic(), tag if type(tag) is int else None)
         try:
             position = answer["Position"]
-            pose = tuple(float(position[axis]) for axis in "XYZWPR")
+            pose = tuple(_real(position, axis) for axis in "XYZWPR")
         except (KeyError, TypeError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_ReadCartesianPosition was answered without {error}") from error
         return RmiSnapshot(began_s, times, status, pose, self.is_busy)
@@ -277,7 +279,7 @@ class RmiSession(Background):
         deadline = time.monotonic() + BUSY_S
         while True:
             answer = await self._connect()
-            error = int(answer.get("ErrorID", 0))
+            error = self._error_of(answer)
             if not error:
                 break
             if error != ALREADY_CONNECTED:
@@ -287,7 +289,7 @@ class RmiSession(Background):
             await asyncio.sleep(BUSY_PAUSE_S)
         self.firmware = f"RMI {answer.get('MajorVersion', '?')}.{answer.get('MinorVersion', '?')}"
         port = answer.get("PortNumber")
-        if not isinstance(port, int) or not 0 < port < 65536:
+        if type(port) is not int or not 0 < port < 65536:
             raise ProtocolError(f"{self.name}: FRC_Connect was answered without PortNumber")
         return port
 
@@ -334,10 +336,16 @@ class RmiSession(Background):
                 self._take(self._parsed(line))
                 self.fire()
 
+    def _error_of(self, answer: Mapping[str, Any]) -> int:
+        try:
+            return _whole(answer, "ErrorID", 0)
+        except ValueError as error:
+            raise ProtocolError(f"{self.name}: an answer has no valid ErrorID") from error
+
     def _parsed(self, line: bytes) -> dict[str, Any]:
         try:
             message = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             message = None
         if not isinstance(message, dict):
             raise ProtocolError(f"{self.name}: not a JSON object: {line[:60]!r}. Check the address.")
@@ -357,9 +365,9 @@ class RmiSession(Background):
 
     def _executed(self, message: Mapping[str, Any]) -> None:
         try:
-            sequence, error = int(message["SequenceID"]), int(message.get("ErrorID", 0))
-        except (KeyError, TypeError, ValueError) as problem:
-            raise ProtocolError(f"{self.name}: an answer to an instruction has no SequenceID") from problem
+            sequence, error = _whole(message, "SequenceID"), _whole(message, "ErrorID", 0)
+        except (KeyError, ValueError) as problem:
+            raise ProtocolError(f"{self.name}: an answer to an instruction lacks SequenceID or ErrorID") from problem
         if sequence not in self.outstanding:
             return  # of an earlier program
         if not error and sequence != self.outstanding[0]:
@@ -367,6 +375,22 @@ class RmiSession(Background):
         self.outstanding.remove(sequence)
         self._on_executed(sequence, error)
         self._has_credit.set()
+
+
+def _whole(message: Mapping[str, Any], name: str, default: int | None = None) -> int:
+    """Return a whole number; KeyError without it, ValueError where it is none."""
+    value = message[name] if default is None else message.get(name, default)
+    if type(value) is not int:
+        raise ValueError(name)
+    return value
+
+
+def _real(message: Mapping[str, Any], name: str) -> float:
+    """Return a finite number; KeyError without it, ValueError where it is none."""
+    value = message[name]
+    if type(value) not in (int, float) or not abs(value) <= LARGEST:
+        raise ValueError(name)
+    return float(value)
 
 
 async def _each(event: asyncio.Event, action: Callable[[], Awaitable[None]] | None) -> None:
