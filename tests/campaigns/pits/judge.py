@@ -113,7 +113,9 @@ def _finding(
     after = [event for event in log if event["mono_s"] >= wrong_s]
     lost = () if what in WIRES else ("LinkError",)
     assert not reason.startswith((*lost, "HostFault")), f"this computer was too busy: {reason}"
-    ran_on = summary(files)["outcome"] == "cycles_used"  # to the end of the pass, where the tool is lifted anyway
+    ran_on = (
+        what != KILL and summary(files)["outcome"] == "cycles_used"
+    )  # to the end of the pass, where the tool is lifted anyway
     reactions = REACTIONS - (STANDS if what in PANEL else set())
     notice_s, off_s = (None, None) if ran_on else (first(after, reactions), first(after, OFF))
     assert pit is not None, "the plant knows of no fault"
