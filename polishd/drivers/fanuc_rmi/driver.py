@@ -555,11 +555,10 @@ class FanucRmi:
         tracker = self._tracker
         if tracker is None or tracker.state != "running":
             return
-        reading = asyncio.ensure_future(self._poller.link.latest_error())
-        done, _ = await asyncio.wait({reading}, timeout=EXPLAIN_S)
-        if not done:
-            reading.add_done_callback(lambda read: read.cancelled() or read.exception())
-        error = "" if not done or reading.exception() else reading.result()
+        error = ""
+        with contextlib.suppress(LinkError, ProtocolError, TimeoutError):
+            async with asyncio.timeout(EXPLAIN_S):
+                error = await self._poller.link.latest_error()
         if tracker.state == "running":
             tracker.fail(f"{why}: {error}" if error else why)
         self._poller.fire()
