@@ -121,6 +121,9 @@ class RobotProgress:
     detail: str = ""
     override: float | None = None
     """Speed override that the controller reports, as a fraction (1.0: as programmed); None: it cannot be read."""
+    measured_speed: float | None = None
+    """Fraction of the programmed speed at which the driver measures the tool to move, at most; None: not slow, or not
+    measured."""
 
 
 @dataclass(frozen=True, slots=True)

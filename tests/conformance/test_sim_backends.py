@@ -29,6 +29,8 @@ from polishd.commissioning.rehearsal.simulated_cell import free_port
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.abb_rws.driver import AbbRobot
 from polishd.drivers.abb_rws.services import Account
+from polishd.drivers.fanuc_rmi.driver import FanucRmi
+from polishd.drivers.fanuc_rmi.protocol import MOST_OUTSTANDING
 from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
@@ -56,6 +58,7 @@ from tests.kinds import kind
 from tests.patience import SOON_S, within
 from tests.programs import plan_of
 from tests.system.sim_rig import ROOT, Cell, alive, cell, wait_for
+from tests.unit.drivers.fanuc_rmi.test_program import program as tp_program
 
 # python-can leaves the socket of a bus that it refuses to open to the collector
 LEFT = "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
@@ -85,6 +88,7 @@ CELLS = {
     + f'[spindle]\nkind = "profile_tcp"\nprofile = "{file_of("delta_ms300")}"\n',
     "universal_robots": BASE.replace("port = 0\n", f"port = 0\n{UNIVERSAL}"),
     "abb_rws": BASE.replace("port = 0\n", 'port = 0\nkind = "abb_rws"\n'),
+    "fanuc_rmi": BASE.replace("port = 0\n", 'port = 0\nsession_port = FREE\nkind = "fanuc_rmi"\n'),
     "kuka_kvp": BASE.replace("port = 0\n", 'port = 0\nkind = "kuka_kvp"\n'),
     "handover_modbus": BASE.replace("port = 0\n", 'port = 0\nkind = "modbus"\n'),
 }
@@ -96,7 +100,7 @@ AT_REST = {
 """Device: the event that ends its rest, and those that begin it."""
 
 
-UNCOUNTED = {"profiles", "universal_robots", "abb_rws"}
+UNCOUNTED = {"profiles", "universal_robots", "abb_rws", "fanuc_rmi"}
 """Their devices do not tell one power-up from another."""
 
 
@@ -112,7 +116,10 @@ class Place:
 
 
 ROBOTS = kind(
-    *(Place(name, "robot") for name in ("rtu_slcan", "universal_robots", "abb_rws", "kuka_kvp", "handover_modbus"))
+    *(
+        Place(name, "robot")
+        for name in ("rtu_slcan", "universal_robots", "abb_rws", "fanuc_rmi", "kuka_kvp", "handover_modbus")
+    )
 )
 ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
@@ -199,7 +206,7 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield known
 
 
-def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | KukaRobot | PlcRobot:
+def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | FanucRmi | KukaRobot | PlcRobot:
     """The driver of a cell's robot."""
     running = cells.get(place.cell)
     match place.cell:
@@ -211,6 +218,9 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
         case "abb_rws":  # the simulated clock, and with it the watchdog, runs 20 times as fast
             account = Account(address, "1.0", "Default User", "robotics")
             return AbbRobot(account, replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False))
+        case "fanuc_rmi":
+            held = {"lifts": False, "held_instructions": MOST_OUTSTANDING}
+            return FanucRmi(address, replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, **held))
         case "kuka_kvp":
             # its watchdog counts the simulated time
             times = replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False)
@@ -395,6 +405,9 @@ def slow(request: pytest.FixtureRequest) -> list[bytes]:
     if place.cell == "abb_rws":
         target = b"[[%.1f,0,0],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
         return [b"MoveL %b,v10\\T:=0.4,z1,tool0;" % (target % (0.4 * k)) for k in range(60)]
+    if place.cell == "fanuc_rmi":
+        moves = [f"L P[{k}] 0.4sec CNT100 ;" for k in range(1, 61)]
+        return tp_program(*moves, x_mm=tuple(0.4 * k for k in range(1, 61)))
     if place.cell == "kuka_kvp":
         lines = [b"LIN {X %.2f,Y 0,Z 0,A 0,B 0,C 165}" % (0.4 * k) for k in range(58)]
         return [b"$VEL.CP=0.001", *lines, b"WAIT SEC 0.2"]

@@ -17,6 +17,8 @@ from polishd.sim_backends.fanuc_rmi.controller import turns_of
 from tests.system.cell_rig import with_faults, with_keys, with_part, write_small
 
 PART = {"aperture_mm": 12.0, "edge_mm": 1.0}
+RIMMED = {"aperture_mm": 12.0, "edge_mm": 2.0}
+"""Room for a touch-off on the rim."""
 POINTS_MM = 3.0
 DWELL_S = 1.8
 FEED_MM_S = 20
@@ -31,11 +33,11 @@ QUICK = {
 """A lift by the actuator's watchdog takes 3.4 s; three points of 1.5 s have a margin for a busy computer."""
 
 
-def write_files(out: Path, *faults: dict[str, Any], **job: Any) -> DemoFiles:
+def write_files(out: Path, *faults: dict[str, Any], part: dict[str, float] = PART, **job: Any) -> DemoFiles:
     """The demo's files with a small part, that robot, and a program with a dwell at each point."""
     files = write_small(out, **job)
     take(files)
-    with_part(files, PART, tp_program, pv_nm=300.0, rms_nm=60.0)
+    with_part(files, part, tp_program, pv_nm=300.0, rms_nm=60.0)
     files.sim.write_text(with_faults(files.sim.read_text(), *({"device": "robot", **fault} for fault in faults)))
     return files
 
@@ -85,9 +87,9 @@ def _position(number: int, xyz: Sequence[float], wpr: Sequence[float]) -> list[s
 
 
 @contextlib.contextmanager
-def dwell_cell(out: Path, *faults: dict[str, Any], **job: Any) -> Iterator[DemoFiles]:
+def dwell_cell(out: Path, *faults: dict[str, Any], part: dict[str, float] = PART, **job: Any) -> Iterator[DemoFiles]:
     """A running simulator for it."""
-    files = write_files(out, *faults, **job)
+    files = write_files(out, *faults, part=part, **job)
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "1"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files

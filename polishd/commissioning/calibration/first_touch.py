@@ -15,7 +15,7 @@ from rich.table import Table
 from polishd.config.cell import CellConfig
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ComputeError, ConfigError
-from polishd.model.program import Program
+from polishd.model.program import Encoding, Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.pipeline import precheck, steps
 from polishd.pipeline.build_recipe import make_recipe
@@ -100,6 +100,12 @@ class _Cell:
     """Of the program, for the tool and the frame that the cell's own program names."""
 
     @property
+    def encoding(self) -> Encoding:
+        """Times of the moves where the language has them: steps of a speed are coarser."""
+        timed = isinstance(self.dialect, LanguageProfile) and self.dialect.move_time
+        return "time" if timed and timed.time else "feed"
+
+    @property
     def noise_nm(self) -> float:
         """Of a removal: that of two maps, and what the model of a track is off by."""
         instrument = self.recipe.instrument
@@ -128,7 +134,7 @@ class _Cell:
         path, axes = self.joined(tracks)
         points, own = in_program_frame(self.config, path.points_mm, axes)
         feed = 60 * speed_mm_s[path.track]  # BETWEEN is the last one
-        text = path_program(points, own, feed, "first touch", to=self.dialect)
+        text = path_program(points, own, feed, "first touch", encoding=self.encoding, to=self.dialect)
         program = read(self.dialect, text, NAME)
         if program.n != len(path.track):
             raise ComputeError(f"the touch's program has {program.n} timed moves, its path {len(path.track)}")
@@ -172,6 +178,7 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     model, owner = cell.forward(program, spread), path.track[spread > 0]
     deepest = np.array([_deepest(model, owner == c) for c in range(len(pool))])
     most_nm = min(MOST_NM, config.limits.max_removal_nm / 2)
+    shortest_s = recipe.envelope.least_point_s * np.bincount(path.track[path.track != BETWEEN], minlength=len(pool))
     longest = np.array([track.length_mm for track in pool]) / slow
     known = initial_knowledge(model.parameters)
     lasts_s = design_track_times(
@@ -180,7 +187,7 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
         _without_wear(known),
         noise_nm=cell.noise_nm,
         wanted=wanted,
-        step_s=min(STEP_NM, most_nm) / deepest,
+        step_s=np.maximum(min(STEP_NM, most_nm) / deepest, shortest_s),
         most_s=longest,
         most_nm=most_nm,
         within_s=within_s,  # of which the ways between take some
@@ -192,9 +199,9 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
         )
     order.append(order[0])  # half at the start, half at the end: shows wear
     seconds = lasts_s[order]
-    seconds[[0, -1]] /= 2
+    seconds[[0, -1]] = np.maximum(seconds[[0, -1]] / 2, shortest_s[order[0]])
     speed = np.array([pool[c].length_mm for c in order]) / seconds
-    speed = np.append(speed, BETWEEN_SHARE * config.machine.max_feed_mm_s)
+    speed = np.append(speed, _between_mm_s(cell, program.length_mm[path.track == BETWEEN]))
     text, program, _ = cell.program([pool[c] for c in order], speed)
     lasts = motion.delivered_time_s(program, program.time_s, steps.envelope_of(recipe, program))
     if lasts.sum() > within_s:
@@ -205,6 +212,16 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
         )
     learned = knowledge_after_pass(cell.forward(program, lasts), known, cell.noise_nm)
     return FirstTouchPlan(text, program, known, learned, float(lasts.sum()), len(order))
+
+
+def _between_mm_s(cell: _Cell, length_mm: FloatArray) -> float:
+    """Speed from track to track along moves of these lengths: none may take less than ``machine.least_point_s``."""
+    config = cell.config
+    usual_mm_s = BETWEEN_SHARE * config.machine.max_feed_mm_s
+    if not cell.recipe.envelope.least_point_s:
+        return usual_mm_s
+    most_mm_s = float(length_mm.min()) / cell.recipe.envelope.least_point_s
+    return min(usual_mm_s, max(most_mm_s, config.machine.min_feed_mm_s))
 
 
 def _pool(cell: _Cell) -> list[Track]:

@@ -293,13 +293,21 @@ def expected_block_s(plan: Plan, *, reports_dwells: bool = True) -> FloatArray:
 
 
 def low_override(robot: RobotProgress, least: float) -> str:
-    """Return the message for a speed override below ``least``; empty if it is high enough or unknown."""
-    if robot.override is None or robot.override >= least:
-        return ""
-    return (
-        f"the robot's speed override is {100 * robot.override:.5g}%, at least {100 * least:.5g}% is needed "
-        "(robot.least_override): slower motion removes more than planned. Set the override to 100% at the controller"
-    )
+    """Return the message for an override or a measured speed below ``least``; empty if high enough or unknown."""
+    if robot.override is not None and robot.override < least:
+        return (
+            f"the robot's speed override is {100 * robot.override:.5g}%, at least {100 * least:.5g}% is needed "
+            "(robot.least_override): slower motion removes more than planned. Set the override to 100% at the "
+            "controller"
+        )
+    if robot.measured_speed is not None and robot.measured_speed < least:
+        reported = "no override" if robot.override is None else f"an override of {100 * robot.override:.5g}%"
+        return (
+            f"the robot moves at {100 * robot.measured_speed:.3g}% of the programmed speed at most and reports "
+            f"{reported}; at least {100 * least:.5g}% is needed (robot.least_override): slower motion removes more "
+            "than planned. Check the overrides and the speed limits at the controller"
+        )
+    return ""
 
 
 def _slow(found: Excess, executed: int) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from polishd.config.cell import CellConfig
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.time_limits import ActionTimeLimit, TimeLimits, late_s
+from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.program import Plan, Program
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.steps import envelope_of, in_part_frame
@@ -109,17 +110,25 @@ def require_held_motion(config: CellConfig, cell: Cell, recipe: Recipe, program:
 
     ConfigError if a plan of this program could hold less than the lift of the tool takes.
     """
-    least_s = np.maximum(least_time_s(program, envelope_of(recipe, program)), recipe.envelope.least_point_s)
+    envelope, as_programmed = envelope_of(recipe, program), recipe.dwell.objective == AS_PROGRAMMED
+    least_s = np.maximum(least_time_s(program, envelope), recipe.envelope.least_point_s)
+    if as_programmed:
+        least_s = delivered_time_s(program, program.time_s, envelope)
     limit = cell.limits.held_motion(program.encoding, least_s)
     if limit is None:
         return ""
     if not limit.holds:
-        needed_s = limit.least_s / cell.limits.held_points(program.encoding)
+        needed_s = round_up(limit.least_s / cell.limits.held_points(program.encoding))
+        remedy = (
+            f"Have it posted with points of {needed_s:g} s or more (a first touch: set machine.least_point_s to that)"
+            if as_programmed
+            else f"Set machine.least_point_s to {needed_s:g} or more"
+        )
         raise config.error(
             limit.key,
             f"{limit.what} of {program.name} may take only {limit.seconds:.3f} s; {limit.least_s:.3f} s are needed to "
-            f"lift the tool if the actuator stops answering. Set machine.least_point_s to {round_up(needed_s):g} or "
-            "more, or reduce the actuator's watchdog or its retract_s.",
+            f"lift the tool if the actuator stops answering. {remedy}, or reduce the actuator's watchdog or its "
+            "retract_s.",
         )
     return f"at least {limit.seconds:.2f} s in {cell.limits.robot.held_instructions} instructions; {limit.because}"
 

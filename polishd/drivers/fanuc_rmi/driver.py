@@ -11,7 +11,8 @@ import contextlib
 import itertools
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -32,6 +33,7 @@ from polishd.api import (
     Segment,
 )
 from polishd.config.fields import ConfigSection
+from polishd.drivers.fanuc_rmi.motion_speed import MotionSpeed
 from polishd.drivers.fanuc_rmi.program import LONGEST_LINE, RmiInstruction, TpReader, instructions_of
 from polishd.drivers.fanuc_rmi.protocol import (
     IN_HOLD,
@@ -40,6 +42,7 @@ from polishd.drivers.fanuc_rmi.protocol import (
     PAUSED,
     RmiSession,
     RmiSnapshot,
+    RmiStatus,
     error_text,
 )
 from polishd.drivers.transport.address import Tcp, tcp_address
@@ -53,6 +56,8 @@ ACTION_S = 5.0
 """Longest time of FRC_Initialize, FRC_Abort, FRC_Reset: the controller makes or ends a TP program."""
 WINDOW = 128
 """Instructions that the driver takes before they can be sent: as many blocks as the daemon sends at once."""
+EXPLAIN_S = 0.05
+"""Longest wait for the controller's error text after a fault, which is reported without it then."""
 START_S = 1.0
 """Time after a command to run in which the controller may still report its earlier state."""
 STILL_MM, STILL_DEG = 1e-3, 1e-3
@@ -76,6 +81,7 @@ class RmiProgramTracker(ProgramTracker):
         self.target: int | None = 0
         """Blocks below it may run; None for all."""
         self.first_sequence = 1
+        self.speed = MotionSpeed()
         self._expected_s = np.full(blocks, np.nan)
         """Planned time of each block that is a timed point; of a dwell with its move."""
         timed = plan.program.block
@@ -147,6 +153,13 @@ class RmiProgramTracker(ProgramTracker):
         self.answered += 1
         self._advance(block + 1, block)
         self.pass_idle()
+
+    def measure_speed(self, snapshot: RmiSnapshot) -> None:
+        """Take the pose of the instruction that is executed."""
+        if self.answered < self.sent:
+            x, y, z = snapshot.pose[:3]
+            move = self.instructions[self.answered].move
+            self.speed.add(self.answered, move, (x, y, z), snapshot.pose_times)
 
     def pass_idle(self) -> None:
         """Record the next lines that neither move nor wait; the program is held at its target, or done at its end."""
@@ -271,7 +284,7 @@ class FanucRmi:
         status = await self._poller.link.status()
         states = {1: "running", 2: "paused"}
         state = states.get(status.program, "aborted") if status.rmi_runs else "idle"
-        why = status.obstacle()
+        why = await self._obstacle(self._poller.link, status)
         return DeviceStatus(ready=not why, safe=self._poller.stands, state=state, detail=why)
 
     async def make_safe(self) -> None:
@@ -293,7 +306,7 @@ class FanucRmi:
             raise DeviceRefused(f"{self._name}: a program is running; hold it first")
         if not plan.segments:
             raise DeviceRefused(f"{self._name}: the plan has no lines")
-        self._require_ready(await session.status())
+        await self._require_ready(session)
         try:
             reader = await asyncio.to_thread(TpReader.of, [segment.text for segment in plan.segments])
         except DeviceRefused as refusal:
@@ -302,10 +315,7 @@ class FanucRmi:
         await self._abort(session)
         await self._initialize(session)
         if reader.frames is not None:
-            uframe, utool = reader.frames
-            await session.command(
-                "FRC_SetUFrameUTool", UFrameNumber=uframe, UToolNumber=utool, Group=self._group, within_s=ACTION_S
-            )
+            await self._select_frames(session, *reader.frames)
         self._sequence = itertools.count((await session.status()).next_sequence)
         self._is_paused = False
         self._tracker = RmiProgramTracker(plan, reader, len(plan.segments))
@@ -350,7 +360,8 @@ class FanucRmi:
         snapshot, tracker = self._poller.last, self._tracker
         if tracker is None:
             return RobotProgress("idle", "", 0, 0, 0.0, override=snapshot.status.override)
-        return tracker.progress(tracker.accepted, self.buffer_s, snapshot.status.override)
+        progress = tracker.progress(tracker.accepted, self.buffer_s, snapshot.status.override)
+        return replace(progress, measured_speed=tracker.speed.share)
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         """See Robot. DeviceFault when the controller reports a fault or leaves its mode."""
@@ -387,7 +398,7 @@ class FanucRmi:
         if until is not None and until <= len(tracker):
             return
         holds = self._holds
-        self._require_ready(await session.status())
+        await self._require_ready(session)
         if self._is_paused:
             await session.command("FRC_Continue", within_s=ACTION_S)
             self._is_paused = False
@@ -399,6 +410,7 @@ class FanucRmi:
         self._started_s = time.monotonic()
         tracker.target = until
         if tracker.state != "running":
+            tracker.speed.interrupt()
             tracker.go(self._started_s)
         tracker.pass_idle()
         await self._pump()
@@ -424,9 +436,27 @@ class FanucRmi:
             raise DeviceRefused(f"{self._name}: no program: prepare one first")
         return self._tracker
 
-    def _require_ready(self, status: Any) -> None:
-        if why := status.obstacle():
+    async def _require_ready(self, session: RmiSession) -> None:
+        if why := await self._obstacle(session, await session.status()):
             raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again.")
+
+    async def _obstacle(self, session: RmiSession, status: RmiStatus) -> str:
+        """Return why the controller would not run a program, with its latest error; empty if it would."""
+        why = status.obstacle(await session.control_mode())
+        error = await session.latest_error() if why else ""
+        return f"{why}: {error}" if error else why
+
+    async def _select_frames(self, session: RmiSession, uframe: int, utool: int) -> None:
+        """Select the frames of the program's positions. DeviceRefused if the controller does not work in them."""
+        await session.command(
+            "FRC_SetUFrameUTool", UFrameNumber=uframe, UToolNumber=utool, Group=self._group, within_s=ACTION_S
+        )
+        answer = await session.command("FRC_GetUFrameUTool", Group=self._group)
+        if (answer.get("UFrameNumber"), answer.get("UToolNumber")) != (uframe, utool):
+            raise DeviceRefused(
+                f"{self._name}: the controller works in user frame {answer.get('UFrameNumber')} and user tool "
+                f"{answer.get('UToolNumber')}, the program in {uframe} and {utool}. Select those at the pendant."
+            )
 
     def _stay(self) -> None:
         """Send no more instructions, and cancel a start that is under way."""
@@ -477,7 +507,7 @@ class FanucRmi:
             await session.command("FRC_Reset", within_s=ACTION_S)
             self._is_held_up = False
         answer = await session.command("FRC_Initialize", within_s=ACTION_S, allow=IN_HOLD, GroupMask=self._group)
-        if int(answer.get("ErrorID", 0)) == IN_HOLD:
+        if answer.get("ErrorID") == IN_HOLD:
             await session.command("FRC_Reset", within_s=ACTION_S)
             await session.command("FRC_Initialize", within_s=ACTION_S, GroupMask=self._group)
 
@@ -517,9 +547,20 @@ class FanucRmi:
         await self._pump()
         self._poller.fire()
 
-    def _faulted(self, why: str) -> None:
-        if self._tracker is not None and self._tracker.state == "running":
-            self._tracker.fail(why)
+    async def _faulted(self) -> None:
+        await self._fail("the controller reports a fault")
+
+    async def _fail(self, why: str) -> None:
+        """Fail the running program, with the controller's latest error if it answers promptly."""
+        tracker = self._tracker
+        if tracker is None or tracker.state != "running":
+            return
+        error = ""
+        with contextlib.suppress(LinkError, ProtocolError, TimeoutError):
+            async with asyncio.timeout(EXPLAIN_S):
+                error = await self._poller.link.latest_error()
+        if tracker.state == "running":
+            tracker.fail(f"{why}: {error}" if error else why)
         self._poller.fire()
 
     async def _seen(self, snapshot: RmiSnapshot) -> None:
@@ -528,12 +569,13 @@ class FanucRmi:
         if tracker is None or tracker.state != "running" or snapshot.time_s < self._started_s:
             return
         if why := snapshot.status.obstacle():
-            tracker.fail(why)
+            await self._fail(why)
         elif snapshot.status.program == PAUSED and snapshot.time_s > self._started_s + START_S:
             tracker.fail("the program was paused at the controller")
         elif not snapshot.status.rmi_runs:
             tracker.fail("the program was ended at the controller")
         else:
+            tracker.measure_speed(snapshot)
             await self._pump()  # credit by time comes back while an instruction is executed
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from polishd.api import DeviceRefused
+from polishd.drivers.fanuc_rmi.motion_speed import MOST_TURN_DEG_S, StraightMove
 
 LONGEST_LINE = 1000
 """Longest line of a program, bytes."""
@@ -63,6 +64,8 @@ class RmiInstruction:
     fields: Mapping[str, Any]
     seconds: float
     """Least time that it takes, s."""
+    move: StraightMove | None = None
+    """Of a linear move that turns the tool slowly."""
 
 
 def positions_of(lines: Sequence[bytes]) -> dict[int, TpPosition]:
@@ -104,7 +107,7 @@ class TpReader:
     """Numbers of user frame and user tool that the program works in; None: it has not moved yet."""
     _in_header: bool = False
     _ended: bool = False
-    _here: Triple | None = None
+    _here: TpPosition | None = None
     _owed_s: float = 0.0
     """Rounding that the next time of a move corrects."""
 
@@ -159,10 +162,12 @@ class TpReader:
             raise self._refused(block, text, f"selects another frame than the positions' {used}", "Select that one")
 
     def _linear(self, block: int, text: str, match: re.Match[str]) -> RmiInstruction:
+        before = self._here
         position, length_mm = self._target(block, text, match[1])
         speed, seconds = self._speed(block, text, float(match[2]), match[3], length_mm)
         fields = {"Instruction": "FRC_LinearMotion", **_target_fields(position), **speed}
-        return RmiInstruction(block, {**fields, **self._end(block, text, match[4], match[5])}, seconds)
+        move = None if before is None else _straight(before, position, seconds)
+        return RmiInstruction(block, {**fields, **self._end(block, text, match[4], match[5])}, seconds, move)
 
     def _joint(self, block: int, text: str, match: re.Match[str]) -> RmiInstruction:
         position, _ = self._target(block, text, match[1])
@@ -174,8 +179,8 @@ class TpReader:
         position = self.positions.get(int(number))
         if position is None:
             raise self._refused(block, text, f"names P[{number}], which the program lacks", "Have it posted anew")
-        length_mm = math.nan if self._here is None else math.dist(self._here, position.xyz_mm)
-        self._here = position.xyz_mm
+        length_mm = math.nan if self._here is None else math.dist(self._here.xyz_mm, position.xyz_mm)
+        self._here = position
         return position, length_mm
 
     def _speed(self, block: int, text: str, number: float, unit: str, length_mm: float) -> tuple[dict[str, Any], float]:
@@ -218,6 +223,16 @@ class TpReader:
     @staticmethod
     def _refused(block: int, text: str, problem: str, remedy: str) -> DeviceRefused:
         return DeviceRefused(f"block {block} ({text[:60]}): {problem}. {remedy}.")
+
+
+def _straight(begin: TpPosition, end: TpPosition, seconds: float) -> StraightMove | None:
+    """Return the move; None where it has no length, or where turning the tool may take longer than moving it."""
+    length_mm = math.dist(begin.xyz_mm, end.xyz_mm)
+    steps_deg = [abs(end.values[axis] - begin.values[axis]) for axis in "WPR"]
+    turn_deg = sum(min(step, 360.0 - step) for step in steps_deg)
+    if not length_mm or not seconds or turn_deg > MOST_TURN_DEG_S * seconds:
+        return None
+    return StraightMove(begin.xyz_mm, end.xyz_mm, length_mm / seconds)
 
 
 def _target_fields(position: TpPosition) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from polishd.api import ByteStream, DeviceBusy, DeviceRefused, LinkError, ProtocolError, RobotTimes
+from polishd.drivers.fanuc_rmi.motion_speed import PoseTimes
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.background import Background, Ready, RequestQueue
 from polishd.drivers.transport.claims import claim_address
@@ -25,6 +26,9 @@ from polishd.util.address_claims import Claim
 MOST_OUTSTANDING = 8
 """Instructions that the controller holds, the one under way among them."""
 LONGEST_ANSWER = 4096
+LONGEST_ERROR = 120
+LARGEST = 1e9
+"""Largest number in an answer."""
 CONNECT_S = 1.0
 DISCONNECT_S = 0.3
 BUSY_S, BUSY_PAUSE_S = 1.0, 0.1
@@ -34,11 +38,12 @@ IDLE_READ_S = 3600.0
 FIRST_ERROR = 2556928
 ALREADY_CONNECTED, NOT_RUNNING, IN_HOLD = FIRST_ERROR + 26, FIRST_ERROR + 9, FIRST_ERROR + 24
 INVALID_STATE = FIRST_ERROR + 15
-PROGRAM_EXISTS = 7015
+BAD_TOOL, BAD_FRAME, CANNOT_RUN = FIRST_ERROR + 2, FIRST_ERROR + 3, FIRST_ERROR + 6
+PROGRAM_IN_USE, PROGRAM_EXISTS = 7004, 7015
 _ERRORS = {
-    FIRST_ERROR + 2: "invalid user tool number",
-    FIRST_ERROR + 3: "invalid user frame number",
-    FIRST_ERROR + 6: "the TP program cannot be executed",
+    BAD_TOOL: "invalid user tool number",
+    BAD_FRAME: "invalid user frame number",
+    CANNOT_RUN: "the TP program cannot be executed",
     FIRST_ERROR + 7: "the servos are off",
     FIRST_ERROR + 8: "the teach pendant is enabled",
     NOT_RUNNING: "RMI is not running",
@@ -60,17 +65,26 @@ _ERRORS = {
     FIRST_ERROR + 33: "invalid termination value",
     FIRST_ERROR + 36: "the target cannot be reached",
     FIRST_ERROR + 43: "single-step mode is on",
+    PROGRAM_IN_USE: "the program RMI_MOVE is in use",
     PROGRAM_EXISTS: "the program RMI_MOVE is selected at the teach pendant",
+}
+_REMEDIES = {
+    BAD_TOOL: "Set up the user tool of the program at the controller, or have the program posted in another",
+    BAD_FRAME: "Set up the user frame of the program at the controller, or have the program posted in another",
+    CANNOT_RUN: "Set the controller to remote, and release its hold and fence inputs",
+    PROGRAM_IN_USE: "End the other program at the pendant",
+    PROGRAM_EXISTS: "Select another program at the pendant",
 }
 RUNNING, PAUSED = 1, 2
 """``ProgramStatus`` of RMI_MOVE."""
 
 
 def error_text(number: int) -> str:
-    """Return an ErrorID as ``RMIT-029, invalid sequence number (2556957)``."""
+    """Return an ErrorID as ``RMIT-029, invalid sequence number (2556957)``, with a remedy where it has one."""
     text = _ERRORS.get(number, "see the controller's manual")
     code = f"RMIT-{number - FIRST_ERROR:03d}, " if 0 < number - FIRST_ERROR < 100 else ""
-    return f"{code}{text} ({number})"
+    remedy = f". {_REMEDIES[number]}." if number in _REMEDIES else ""
+    return f"{code}{text} ({number}){remedy}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,22 +102,24 @@ class RmiStatus:
 
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> RmiStatus:
-        """Parse an answer; KeyError, TypeError or ValueError if it is none."""
+        """Parse an answer; KeyError or ValueError if it is none."""
         percent = answer.get("Override")
         return cls(
-            bool(answer["ServoReady"]),
-            bool(answer["TPMode"]),
-            bool(answer["RMIMotionStatus"]),
-            int(answer["ProgramStatus"]),
-            bool(answer.get("SingleStepMode", 0)),
-            int(answer.get("NextSequenceID", 1)),
-            None if percent is None else float(percent) / 100.0,
+            bool(_whole(answer, "ServoReady")),
+            bool(_whole(answer, "TPMode")),
+            bool(_whole(answer, "RMIMotionStatus")),
+            _whole(answer, "ProgramStatus"),
+            bool(_whole(answer, "SingleStepMode")),
+            _whole(answer, "NextSequenceID"),
+            None if percent is None else _real(answer, "Override") / 100.0,
         )
 
-    def obstacle(self) -> str:
-        """Return why the controller would not run a program; empty if it would."""
+    def obstacle(self, mode: str = "") -> str:
+        """Return why the controller would not run a program; empty if it would. ``mode`` is empty if unknown."""
         if self.pendant_enabled:
             return "the teach pendant is enabled (switch it off and the controller to AUTO)"
+        if mode not in ("", "AUTO"):
+            return f"the controller is in {mode} (turn the mode switch to AUTO)"
         if not self.servo_ready:
             return "the servos are not ready (release the emergency stop, reset the fault at the pendant)"
         if self.single_step:
@@ -117,6 +133,7 @@ class RmiSnapshot:
 
     time_s: float
     """Time of the request."""
+    pose_times: PoseTimes
     status: RmiStatus
     pose: tuple[float, ...]
     """X, Y, Z in mm, W, P, R in deg."""
@@ -137,12 +154,12 @@ class RmiSession(Background):
         address: Tcp,
         times: RobotTimes,
         on_executed: Callable[[int, int], None] = lambda _sequence, _error: None,
-        on_fault: Callable[[str], None] = lambda _why: None,
+        on_fault: Callable[[], Awaitable[None]] | None = None,
         on_credit: Callable[[], Awaitable[None]] | None = None,
     ) -> None:
         """``on_executed`` gets the sequence number and the ErrorID of each answered instruction.
 
-        ``on_credit`` is awaited afterwards, in a task of the session.
+        ``on_credit`` is awaited afterwards, and ``on_fault`` after a fault of the robot, in tasks of the session.
         """
         super().__init__(str(address))
         self.firmware = ""
@@ -153,7 +170,7 @@ class RmiSession(Background):
         self._address = address
         self._silence_s, self._watchdog_s = times.silence_s, times.watchdog_s
         self._on_executed, self._on_fault, self._on_credit = on_executed, on_fault, on_credit
-        self._has_credit = asyncio.Event()
+        self._has_credit, self._has_fault = asyncio.Event(), asyncio.Event()
         self._queue = RequestQueue(self.name)
         self._stream: ByteStream | None = None
         self._claim = Claim()
@@ -200,7 +217,7 @@ class RmiSession(Background):
         self.check()
         limit_s = within_s or self._silence_s
         answer = await self._queue.ask(lambda: self._exchange(name, fields, limit_s), urgent=urgent)
-        error = int(answer.get("ErrorID", 0))
+        error = self._error_of(answer)
         if error not in (0, allow):
             raise DeviceRefused(f"{self.name}: {name} was refused: {error_text(error)}")
         return answer
@@ -210,20 +227,39 @@ class RmiSession(Background):
         answer = await self.command("FRC_GetStatus")
         try:
             return RmiStatus.of(answer)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_GetStatus was answered without {error}") from error
+
+    async def control_mode(self) -> str:
+        """Return ``AUTO``, ``T1`` or ``T2``; empty where the controller does not report it."""
+        try:
+            answer = await self.command("FRC_GetExtStatus")
+        except DeviceRefused:  # older versions have no such command
+            return ""
+        return str(answer.get("ControlMode") or "")
+
+    async def latest_error(self) -> str:
+        """Return the latest error of the controller as it words it; empty if it has none."""
+        try:
+            answer = await self.command("FRC_ReadError", urgent=True, Count=1)
+        except DeviceRefused:
+            return ""
+        return str(answer.get("ErrorData") or "").strip()[:LONGEST_ERROR]
 
     async def look(self) -> RmiSnapshot:
         """Return status and pose."""
         began_s = time.monotonic()
         status = await self.status()
+        asked_s = time.monotonic()
         answer = await self.command("FRC_ReadCartesianPosition")
+        tag = answer.get("TimeTag")
+        times = PoseTimes(asked_s, time.monotonic(), tag if type(tag) is int else None)
         try:
             position = answer["Position"]
-            pose = tuple(float(position[axis]) for axis in "XYZWPR")
+            pose = tuple(_real(position, axis) for axis in "XYZWPR")
         except (KeyError, TypeError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_ReadCartesianPosition was answered without {error}") from error
-        return RmiSnapshot(began_s, status, pose, self.is_busy)
+        return RmiSnapshot(began_s, times, status, pose, self.is_busy)
 
     async def send(self, sequence: int, fields: Mapping[str, Any]) -> None:
         """Send an instruction, once. Its answer goes to ``on_executed``."""
@@ -243,7 +279,7 @@ class RmiSession(Background):
         deadline = time.monotonic() + BUSY_S
         while True:
             answer = await self._connect()
-            error = int(answer.get("ErrorID", 0))
+            error = self._error_of(answer)
             if not error:
                 break
             if error != ALREADY_CONNECTED:
@@ -253,7 +289,7 @@ class RmiSession(Background):
             await asyncio.sleep(BUSY_PAUSE_S)
         self.firmware = f"RMI {answer.get('MajorVersion', '?')}.{answer.get('MinorVersion', '?')}"
         port = answer.get("PortNumber")
-        if not isinstance(port, int) or not 0 < port < 65536:
+        if type(port) is not int or not 0 < port < 65536:
             raise ProtocolError(f"{self.name}: FRC_Connect was answered without PortNumber")
         return port
 
@@ -285,14 +321,8 @@ class RmiSession(Background):
     async def _run(self, ready: Ready) -> None:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._receive(ready))
-            group.create_task(self._use_credit())
-
-    async def _use_credit(self) -> None:
-        while True:
-            await self._has_credit.wait()
-            self._has_credit.clear()
-            if self._on_credit is not None:
-                await self._on_credit()
+            group.create_task(_each(self._has_credit, self._on_credit))
+            group.create_task(_each(self._has_fault, self._on_fault))
 
     async def _receive(self, ready: Ready) -> None:
         stream = self._stream
@@ -306,10 +336,16 @@ class RmiSession(Background):
                 self._take(self._parsed(line))
                 self.fire()
 
+    def _error_of(self, answer: Mapping[str, Any]) -> int:
+        try:
+            return _whole(answer, "ErrorID", 0)
+        except ValueError as error:
+            raise ProtocolError(f"{self.name}: an answer has no valid ErrorID") from error
+
     def _parsed(self, line: bytes) -> dict[str, Any]:
         try:
             message = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             message = None
         if not isinstance(message, dict):
             raise ProtocolError(f"{self.name}: not a JSON object: {line[:60]!r}. Check the address.")
@@ -321,7 +357,7 @@ class RmiSession(Background):
         elif message.get("Command") == self._expected and self._answer is not None and not self._answer.done():
             self._answer.set_result(message)
         elif message.get("Communication") == "FRC_SystemFault":
-            self._on_fault("the controller reports a fault")
+            self._has_fault.set()
         elif message.get("Communication") in ("FRC_Terminate", "FRC_Disconnect"):
             raise LinkError(f"{self.name}: the controller ended the session")
         elif self._expected and self._answer is not None and not self._answer.done() and "Command" not in message:
@@ -329,9 +365,9 @@ class RmiSession(Background):
 
     def _executed(self, message: Mapping[str, Any]) -> None:
         try:
-            sequence, error = int(message["SequenceID"]), int(message.get("ErrorID", 0))
-        except (KeyError, TypeError, ValueError) as problem:
-            raise ProtocolError(f"{self.name}: an answer to an instruction has no SequenceID") from problem
+            sequence, error = _whole(message, "SequenceID"), _whole(message, "ErrorID", 0)
+        except (KeyError, ValueError) as problem:
+            raise ProtocolError(f"{self.name}: an answer to an instruction lacks SequenceID or ErrorID") from problem
         if sequence not in self.outstanding:
             return  # of an earlier program
         if not error and sequence != self.outstanding[0]:
@@ -339,6 +375,30 @@ class RmiSession(Background):
         self.outstanding.remove(sequence)
         self._on_executed(sequence, error)
         self._has_credit.set()
+
+
+def _whole(message: Mapping[str, Any], name: str, default: int | None = None) -> int:
+    """Return a whole number; KeyError without it, ValueError where it is none."""
+    value = message[name] if default is None else message.get(name, default)
+    if type(value) is not int:
+        raise ValueError(name)
+    return value
+
+
+def _real(message: Mapping[str, Any], name: str) -> float:
+    """Return a finite number; KeyError without it, ValueError where it is none."""
+    value = message[name]
+    if type(value) not in (int, float) or not abs(value) <= LARGEST:
+        raise ValueError(name)
+    return float(value)
+
+
+async def _each(event: asyncio.Event, action: Callable[[], Awaitable[None]] | None) -> None:
+    """Act whenever the event is set."""
+    while action is not None:
+        await event.wait()
+        event.clear()
+        await action()
 
 
 def _line(message: Mapping[str, Any]) -> bytes:

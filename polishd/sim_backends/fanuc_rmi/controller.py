@@ -25,7 +25,7 @@ LONGEST = 8192
 FRAMES, TOOLS, PORTS = 9, 10, 512
 RUNNING, PAUSED, ABORTED = 1, 2, 3
 _RMIT = 2556928
-INTERNAL, BAD_TOOL, BAD_FRAME, BAD_OVERRIDE = _RMIT + 1, _RMIT + 2, _RMIT + 3, _RMIT + 5
+INTERNAL, BAD_TOOL, BAD_FRAME, BAD_OVERRIDE, CANNOT_RUN = _RMIT + 1, _RMIT + 2, _RMIT + 3, _RMIT + 5, _RMIT + 6
 SERVO_OFF, PENDANT_ON, NOT_RUNNING, NOT_PAUSED = _RMIT + 7, _RMIT + 8, _RMIT + 9, _RMIT + 10
 NO_RESET, BAD_COMMAND, WRONG_STATE = _RMIT + 12, _RMIT + 13, _RMIT + 15
 BAD_INSTRUCTION, BAD_VALUE, BAD_POSITION, IN_HOLD = _RMIT + 20, _RMIT + 21, _RMIT + 23, _RMIT + 24
@@ -68,6 +68,12 @@ class FanucController:
     servo_ready: bool = True
     estop: bool = False
     pendant_enabled: bool = False
+    mode: str = "AUTO"
+    """Of the mode switch: AUTO, T1, T2."""
+    remote: bool = True
+    """Programs may be started from outside."""
+    frame_follows: bool = True
+    """It selects the frames that it is asked for."""
     program: int = ABORTED
     initialized: bool = False
     in_hold: bool = False
@@ -246,6 +252,8 @@ class FanucController:
             raise DeviceRefused(PENDANT_ON)
         if not self.servo_ready:
             raise DeviceRefused(SERVO_OFF)
+        if self.mode != "AUTO" or not self.remote:
+            raise DeviceRefused(CANNOT_RUN)
         if self.in_hold:
             raise DeviceRefused(IN_HOLD)
         if self.initialized or self.motion.state == "running":
@@ -302,7 +310,7 @@ class FanucController:
             "InMotion": int(self.motion.state == "running"),
             "DrivesPowered": int(self.servo_ready),
             "GenOverride": self._percent(),
-            "ControlMode": "T1" if self.pendant_enabled else "AUTO",
+            "ControlMode": self.mode,
             "ErrorCode": self._errors[0] if self._errors else "",
         }
 
@@ -343,7 +351,8 @@ class FanucController:
         uframe, utool = int(message["UFrameNumber"]), int(message["UToolNumber"])
         _require(0 <= uframe <= FRAMES, BAD_FRAME)
         _require(1 <= utool <= TOOLS, BAD_TOOL)
-        self._frames = (uframe, utool)
+        if self.frame_follows:
+            self._frames = (uframe, utool)
         return {"Group": int(message.get("Group", 1))}
 
     def _frame_read(self, message: Message, _now_s: float) -> Message:

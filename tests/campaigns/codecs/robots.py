@@ -13,7 +13,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 from zlib import crc32
 
-from polishd.api import RobotTimes
+from polishd.api import DeviceRefused, LinkError, ProtocolError, RobotTimes
+from polishd.drivers.fanuc_rmi.protocol import RmiSession
 from polishd.drivers.robot_link.driver import RobotLinkConnection
 from polishd.drivers.robot_link.protocol import FrameType
 from polishd.drivers.transport.address import Tcp
@@ -261,3 +262,118 @@ class Dashboard(Talk):
     async def ask(self) -> Any:
         answer = await driver.ask(self._address, "running", self.silence_s)
         return driver.yes(answer)
+
+
+class FanucRmi(Talk):
+    """Status, pose and an executed instruction. Only the answer to an instruction has a number; nothing a checksum."""
+
+    name = "FANUC, Remote Motion Interface"
+    driver = "fanuc_rmi"
+    least = 0.15  # a value is three answers, opening is two, and nonsense ends it
+    resyncs = False
+    ends = True
+
+    def __init__(self, address: Tcp = HOST, **how: Any) -> None:
+        super().__init__(**how)
+        self._address = address
+        self._session: RmiSession | None = None
+        self._executed: list[tuple[int, int]] = []
+        self._sequence = 0
+        self._status, self._pose = 0, (0.0,) * 6
+
+    async def open(self) -> None:
+        times = RobotTimes(silence_s=self.silence_s, watchdog_s=0.1)
+        self._session = RmiSession(self._address, times, lambda *answer: self._executed.append(answer))
+        await self._session.open()
+
+    async def close(self) -> None:
+        if self._session is not None:
+            await self._session.close()
+
+    async def ask(self) -> Any:
+        session = self._session
+        assert session is not None
+        self._executed.clear()
+        self._sequence += 1
+        try:
+            snapshot = await session.look()
+            await session.send(self._sequence, {"Instruction": "FRC_WaitTime", "Time": 0.0})
+            await session.until(lambda: bool(self._executed), self.silence_s)
+            if not self._executed:
+                raise LinkError("the instruction is not answered")  # as the daemon, by the robot's progress
+        except ProtocolError as error:
+            raise LinkError(str(error)) from error  # as the polled connection ends
+        if self._executed[0][1]:
+            raise DeviceRefused("the instruction was refused")
+        return snapshot.status.next_sequence, snapshot.pose, [*self._executed]
+
+    def replies(self, data: bytes) -> Iterable[bytes]:
+        for line in data.splitlines():
+            request = json.loads(line)
+            kind = next(kind for kind in ("Communication", "Command", "Instruction") if kind in request)
+            yield self._line({kind: request[kind], "ErrorID": 0, **self._answer(request)})
+
+    def _answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        number = next(self.numbers)
+        if "Instruction" in request:
+            self.truth = (self._status, self._pose, [(request["SequenceID"], 0)])
+            return {"SequenceID": request["SequenceID"]}
+        if request.get("Command") == "FRC_GetStatus":
+            self._status = number
+            zeros = dict.fromkeys(("TPMode", "RMIMotionStatus", "ProgramStatus", "SingleStepMode"), 0)
+            return {"ServoReady": 1, **zeros, "NextSequenceID": number, "Override": 100}
+        if request.get("Command") == "FRC_ReadCartesianPosition":
+            self._pose = (number / 8, *(float(number % 1000 + at) for at in range(5)))
+            return {"TimeTag": number, "Position": dict(zip("XYZWPR", self._pose, strict=True))}
+        return {"PortNumber": self._address.port, "MajorVersion": 5, "MinorVersion": 0}
+
+    def refusal(self, reply: bytes) -> bytes:
+        return self._line({**json.loads(reply), "ErrorID": 2556941})
+
+    def tells(self, sent: bytes, reply: bytes) -> bool:
+        """A line that has the form of the answer could be the right one, whatever its numbers are."""
+        good = json.loads(reply)
+        return all(line + b"\n" == reply or not self._is_form(line, good) for line in sent.split(b"\n"))
+
+    def damages(self, rng: random.Random, reply: bytes) -> Sequence[bytes]:
+        content = json.loads(reply)
+        nonsense = rng.choice([None, True, "1", "\u0661", [], {}, math.nan, math.inf, 1.5e300, "x"])
+        wrong: list[dict[str, Any]] = [{"ErrorID": rng.choice([None, True, "0", 0.5, []])}]
+        if "Position" in content:
+            wrong += [{"Position": rng.choice([None, [], 7])}]
+            wrong += [{"Position": {**content["Position"], rng.choice("XYZWPR"): nonsense}}]
+        if "ServoReady" in content:
+            wrong += [{rng.choice(["ServoReady", "TPMode", "ProgramStatus", "NextSequenceID"]): nonsense}]
+        if "SequenceID" in content:
+            wrong += [{"SequenceID": content["SequenceID"] + rng.choice([-1, 1, 100])}, {"SequenceID": nonsense}]
+        if "PortNumber" in content:
+            wrong += [{"PortNumber": rng.choice([0, -1, 65536, True, "1", None])}]
+        lines = [self._line({**content, **one}) for one in wrong]
+        texts = [b"[" * 3000, b"[]", b"7", b"{", b"{}", b"{}" * 9, b"1" * 4000, b'{"Command":[]}', b"{" + b"a" * 5000]
+        return [*lines, *(text + b"\r\n" for text in texts)]
+
+    @staticmethod
+    def _line(message: dict[str, Any]) -> bytes:
+        return json.dumps(message).encode("ascii") + b"\r\n"
+
+    def _is_form(self, line: bytes, good: Any) -> bool:
+        try:
+            found = json.loads(line)
+        except (ValueError, RecursionError):
+            return False
+        if "SequenceID" in good and isinstance(found, dict) and found.get("SequenceID") != good["SequenceID"]:
+            return False
+        return _is_like(found, good)
+
+
+def _is_like(found: Any, good: Any) -> bool:
+    """It has the same texts, and numbers of the same kind where numbers belong."""
+    if isinstance(good, dict):
+        return isinstance(found, dict) and all(
+            key in ("TimeTag", "MajorVersion", "MinorVersion") or (key in found and _is_like(found[key], value))
+            for key, value in good.items()
+        )
+    if isinstance(good, str):
+        return bool(found == good)
+    whole = type(found) is int
+    return whole if type(good) is int else (whole or type(found) is float) and abs(found) <= 1e9

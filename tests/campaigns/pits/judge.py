@@ -113,8 +113,10 @@ def _finding(
     after = [event for event in log if event["mono_s"] >= wrong_s]
     lost = () if what in WIRES else ("LinkError",)
     assert not reason.startswith((*lost, "HostFault")), f"this computer was too busy: {reason}"
+    # to the end of the pass, where the tool is lifted anyway
+    ran_on = what != KILL and summary(files)["outcome"] == "cycles_used"
     reactions = REACTIONS - (STANDS if what in PANEL else set())
-    notice_s, off_s = (None, None) if unnoticed else (first(after, reactions), first(after, OFF))
+    notice_s, off_s = (None, None) if ran_on else (first(after, reactions), first(after, OFF))
     assert pit is not None, "the plant knows of no fault"
     removed_nm = max(pit["part_nm"] if unnoticed else pit["peak_nm"], 0.0)  # of a whole pass: it ends off the part
     limit_nm = bound_nm(checked, pit["planned_nm"] if unnoticed else None)

@@ -272,6 +272,19 @@ def test_an_override_that_cannot_be_read_is_not_judged() -> None:
     assert said.startswith("the robot's speed override is 50%, at least 95% is needed (robot.least_override)")
 
 
+@pytest.mark.parametrize(("override", "reports"), [(1.0, "an override of 100%"), (None, "no override")])
+def test_a_speed_that_the_driver_measures_counts_whatever_override_is_reported(
+    override: float | None, reports: str
+) -> None:
+    robot = RobotProgress("running", "", 0, 0, 0.0, override=override, measured_speed=0.55)
+    said = low_override(robot, 0.95)
+    assert said.startswith(
+        f"the robot moves at 55% of the programmed speed at most and reports {reports}; at least 95%"
+    )
+    assert low_override(robot, 0.5) == ""
+    assert "override is 0%" in low_override(replace(robot, override=0.0), 0.95)
+
+
 # the whole stream
 
 

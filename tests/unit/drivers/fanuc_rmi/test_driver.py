@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from typing import Any
 
@@ -133,7 +134,11 @@ async def test_hold_pauses_within_a_wait_and_goes_on_with_its_rest(fake: FakeFan
 
 @pytest.mark.parametrize(
     ("button", "said"),
-    [("pause", "paused at the controller"), ("emergency stop", "servos|fault"), ("teach pendant", "pendant|fault")],
+    [
+        ("pause", "paused at the controller"),
+        ("emergency stop", r"(servos|fault).*: SRVO-001 Operator panel E-stop"),
+        ("teach pendant", r"(pendant|fault).*: SYST-045 TP is enabled"),
+    ],
 )
 async def test_a_stop_at_the_controller_ends_the_program(
     fake: FakeFanuc, robot: FanucRmi, button: str, said: str
@@ -149,16 +154,72 @@ async def test_a_stop_at_the_controller_ends_the_program(
         await robot.resume()
 
 
-@pytest.mark.parametrize(("button", "said"), [("emergency stop", "servos"), ("teach pendant", "teach pendant")])
+def press(button: str) -> Callable[[FakeFanuc], None]:
+    return lambda fake: fake.controller.press(button, time.monotonic())
+
+
+def turn(name: str, value: object) -> Callable[[FakeFanuc], None]:
+    return lambda fake: setattr(fake.controller, name, value)
+
+
+MODES = {
+    "emergency stop": (press("emergency stop"), r"servos are not ready \(release .*: SRVO-001 Operator panel E-stop"),
+    "teach pendant": (press("teach pendant"), r"the teach pendant is enabled \(switch it off .*: SYST-045"),
+    "T1": (turn("mode", "T1"), r"the controller is in T1 \(turn the mode switch to AUTO\)"),
+}
+AT_START = {
+    "local": (turn("remote", False), r"FRC_Initialize was refused: RMIT-006.* Set the controller to remote"),
+    "another frame": (turn("frame_follows", False), r"works in user frame 0 and user tool 1, the program in 1 and 2"),
+}
+
+
+@pytest.mark.parametrize("case", [*MODES, *AT_START])
 async def test_a_controller_in_a_wrong_mode_is_refused_before_anything_moves(
-    fake: FakeFanuc, robot: FanucRmi, button: str, said: str
+    fake: FakeFanuc, robot: FanucRmi, case: str
 ) -> None:
-    fake.controller.press(button, time.monotonic())
-    status = await robot.status()
-    assert not status.ready
-    assert said in status.detail
+    change, said = {**MODES, **AT_START}[case]
+    change(fake)
+    if case in MODES:
+        status = await robot.status()
+        assert not status.ready
+        assert re.search(said, status.detail)
     with pytest.raises(DeviceRefused, match=said):
         await loaded(robot, *WAITS)
+    assert fake.held == 0
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        (b"UF : 30, UT : 2", r"RMIT-003, invalid user frame number .* Set up the user frame"),
+        (b"UF : 1, UT : 20", r"RMIT-002, invalid user tool number .* Set up the user tool"),
+    ],
+)
+async def test_frames_that_the_controller_lacks_are_refused_with_a_remedy(
+    fake: FakeFanuc, robot: FanucRmi, frames: bytes, said: str
+) -> None:
+    plan = plan_of([line.replace(b"UF : 1, UT : 2", frames) for line in program("L P[1] 20mm/sec FINE ;")])
+    with pytest.raises(DeviceRefused, match=said):
+        await robot.prepare(plan)
+
+
+async def test_a_controller_without_extended_status_is_used(fake: FakeFanuc, robot: FanucRmi) -> None:
+    fake.filter = lambda data: (
+        [b'{"Command":"FRC_GetExtStatus","ErrorID":2556941}\r\n'] if b"FRC_GetExtStatus" in data else [data]
+    )
+    assert (await robot.status()).ready
+
+
+async def test_a_fault_without_its_text_is_reported_all_the_same(fake: FakeFanuc, robot: FanucRmi) -> None:
+    await loaded(robot, *["WAIT 0.50(sec) ;"] * 10)
+    await robot.resume()
+    await executed(robot, 5)
+    fake.filter = lambda data: [] if b"FRC_ReadError" in data else [data]
+    fake.controller.press("emergency stop", time.monotonic())
+    began_s = time.monotonic()
+    with pytest.raises(DeviceFault, match=r"the controller reports a fault|servos are not ready"):
+        await executed(robot)
+    assert time.monotonic() - began_s < TIMES.silence_s
 
 
 async def test_a_refused_instruction_is_named_by_its_block_and_reset_by_the_next_program(
@@ -225,3 +286,17 @@ async def test_messages_are_json_lines_that_end_with_cr_lf(fake: FakeFanuc, robo
     assert all(line.endswith(b"\r\n") for line in fake.lines)
     sequences = [found["SequenceID"] for line in fake.lines if "SequenceID" in (found := json.loads(line))]
     assert sequences == [1, 2]
+
+
+@pytest.mark.parametrize(("pace", "slow"), [(1.0, False), (0.5, True)])
+async def test_half_speed_is_measured_while_the_controller_reports_full_speed(
+    fake: FakeFanuc, robot: FanucRmi, pace: float, slow: bool
+) -> None:
+    await loaded(robot, "L P[1] 50mm/sec FINE ;", "L P[2] 20mm/sec FINE ;", "L P[3] 20mm/sec FINE ;")
+    fake.controller.motion.set_pace(time.monotonic(), pace)
+    await robot.resume()
+    await executed(robot)
+    progress = await robot.progress()
+    assert progress.override == 1.0
+    assert (progress.measured_speed is not None) == slow
+    assert progress.measured_speed is None or 0.5 <= progress.measured_speed < 0.65

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -31,3 +32,34 @@ def test_check_refuses_points_that_are_too_short_with_the_number(cell: Path) -> 
     refused = CliRunner().invoke(app, ["check", str(cell)])
     assert "machine.least_point_s" in str(refused.exception)
     assert "Set machine.least_point_s to 0.384 or more" in str(refused.exception)
+
+
+@pytest.fixture
+def witness(cell: Path) -> Path:
+    """The cell with a part that has room for a first touch."""
+    text = cell.read_text().replace("aperture_mm = 14.0", "aperture_mm = 40.0")
+    cell.write_text(text.replace("[process]", '[process]\nestimates = "machine"'))
+    return cell
+
+
+def test_a_first_touch_is_timed_moves_that_keep_to_the_least_time_of_a_point(witness: Path) -> None:
+    touch = witness.parent / "touch"
+    command = ["calibrate", "first-touch", str(witness), "--out", str(touch), "--part", "W-1"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.exception
+    times = [float(one) for one in re.findall(r"L P\[\d+\] ([0-9.]+)sec CNT100", (touch / "touch.rnc").read_text())]
+    assert len(times) > 100
+    assert min(times) >= 0.4 - 0.001
+    witness.write_text(f'include = ["touch/fragment.toml"]\n{witness.read_text()}')
+    checked = CliRunner().invoke(app, ["check", str(witness), "--json"])
+    assert checked.exit_code == 0, checked.exception
+
+
+def test_check_refuses_a_program_to_run_as_programmed_whose_points_are_too_short(cell: Path) -> None:
+    text = cell.read_text().replace("[dwell]", '[dwell]\nobjective = "as_programmed"\ncross_check = ""')
+    cell.write_text(text)
+    assert CliRunner().invoke(app, ["check", str(cell)]).exit_code == 0
+    program = cell.parent / "part.ls"
+    program.write_text(program.read_text().replace("WAIT   0.50", "WAIT   0.20"))
+    refused = CliRunner().invoke(app, ["check", str(cell)])
+    assert "Have it posted with points of 0.384 s or more" in str(refused.exception)

@@ -152,6 +152,24 @@ def test_modes_that_forbid_motion_are_answered_by_their_errors() -> None:
     client.start()
 
 
+@pytest.mark.parametrize(("name", "value"), [("mode", "T1"), ("remote", False)])
+def test_it_starts_only_in_auto_and_remote_and_says_its_mode(name: str, value: object) -> None:
+    client = Client()
+    setattr(client.controller, name, value)
+    assert client.ask(Command="FRC_GetExtStatus")["ControlMode"] == ("T1" if name == "mode" else "AUTO")
+    assert client.ask(Command="FRC_Initialize")["ErrorID"] == c.CANNOT_RUN
+    assert not client.controller.initialized
+
+
+def test_frames_are_selected_read_back_and_refused_where_it_has_none() -> None:
+    client = Client()
+    assert client.ask(Command="FRC_SetUFrameUTool", UFrameNumber=3, UToolNumber=4)["ErrorID"] == 0
+    read = client.ask(Command="FRC_GetUFrameUTool")
+    assert (read["UFrameNumber"], read["UToolNumber"]) == (3, 4)
+    assert client.ask(Command="FRC_SetUFrameUTool", UFrameNumber=30, UToolNumber=4)["ErrorID"] == c.BAD_FRAME
+    assert client.ask(Command="FRC_SetUFrameUTool", UFrameNumber=3, UToolNumber=0)["ErrorID"] == c.BAD_TOOL
+
+
 def test_an_emergency_stop_in_motion_is_pushed_and_stops_it() -> None:
     client = Client()
     client.start()
