@@ -373,7 +373,9 @@ def _index(written: str | None) -> str:
 
 def made_like_shipped(name: str, text: bytes, of: str) -> ProgramFormat:
     """As `format_made_like`, in the shipped dialect of that name."""
-    return format_made_like(shipped(name), text, of)
+    if isinstance(profile := shipped(name), LanguageProfile):
+        return format_of(made_like(profile, text, of))
+    return next(known for known in shipped_formats() if known.name == name)
 
 
 def read_shipped(name: str, text: bytes, of: str) -> Program:
