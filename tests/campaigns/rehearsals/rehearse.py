@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -10,8 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from polishd.config.cell import load_config
-from tests.system.cell_rig import Daemon, events, summary
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from polishd.config.cell import CellConfig, load_config
+from tests.system.cell_rig import Daemon, events
 from tests.system.sim_rig import ROOT
 from tests.system.test_rehearsal import rehearsed
 
@@ -59,21 +61,26 @@ def measure(name: str, folder: Path) -> Finding:
     shutil.copytree(EXAMPLES, copy)
     cell = copy / name
     config = load_config(cell)
-    robot = config.devices[config.used["robot"]].type
     if not config.program_path.exists():
         _polishd(cell.parent, "program", "make", "raster", "--cell", cell.name, "--out", config.program.path)
     with rehearsed(cell, "--seed", "1") as files, Daemon(files, "--no-hold") as daemon:
         daemon.process.wait()
-        if not (files.run_dir / "summary.json").exists():
-            raise AssertionError(daemon.output.read_text())
-        told, maps = summary(files), events(files, "measured")
+        return finding(name, files, config)
+
+
+def finding(name: str, files: DemoFiles, config: CellConfig) -> Finding:
+    """The row of a rehearsal whose daemon has ended. AssertionError with its output where it wrote no summary."""
+    summaries = [files.run_dir / "summary.json", *files.state_dir.glob("runs/*/summary.json")]
+    written = [path for path in summaries if path.exists()]
+    assert written, files.daemon_log.read_text()
+    told, maps = json.loads(written[-1].read_text()), events(files, "measured")
     rms = [cycle["rms_nm"] for cycle in told["cycles"]]
     return Finding(
         name,
-        str(robot),
+        str(config.devices[config.used["robot"]].type),
         config.program.format,
         str(told["outcome"]),
-        len(rms) - 1,
+        max(len(rms) - 1, 0),
         rms[0] if rms else None,
         rms[-1] if rms else None,
         maps[-1]["true_rms_nm"] if maps else None,

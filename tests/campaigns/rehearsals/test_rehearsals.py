@@ -21,7 +21,7 @@ def test_a_row_has_what_was_measured_and_why_a_part_is_not_accepted() -> None:
     assert head[0] == "cell"
     assert row == ["abb_cell.toml", "abb_rws", "rapid", "in_tolerance", "2", "94.3", "8.9", "8.8", "310"]
     failed = Finding("x", "abb_rws", "rapid", "failed", 0, None, None, None, 1.0, "LinkError: silent")
-    assert line(failed).endswith("-         -         1         LinkError: silent")
+    assert line(failed).split()[-6:] == ["-", "-", "-", "1", "LinkError:", "silent"]
     assert FOUND.is_accepted
     assert not failed.is_accepted
 
