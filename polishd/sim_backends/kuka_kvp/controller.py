@@ -192,6 +192,8 @@ RAMP_S = 0.1
 """Time in which a stop reduces the pace from full to zero."""
 LATE_S = 30.0
 """A process that was delayed catches up with at most this time."""
+PASSES = 100
+"""Passes through the body of a WHILE in one cycle; of a LOOP there is one."""
 STILL_MM_S = 1e-6
 SAME = 1e-6
 """Distance, mm, and angle, rad, of two poses that are the same."""
@@ -455,12 +457,15 @@ class KukaController:
         return ""
 
     def _branch(self, statement: KrlBranch) -> Frames:
+        passes = 0
         while statement.condition is None or statement.condition(self.read):
             if left := (yield from self._body(statement.body)):
                 return "" if statement.repeats and left == "exit" else left
             if not statement.repeats:
                 return ""
-            yield
+            passes += 1
+            if statement.condition is None or passes % PASSES == 0:
+                yield
         return (yield from self._body(statement.otherwise))
 
     def _call(self, statement: KrlCall) -> Generator[None, None, None]:
