@@ -49,6 +49,8 @@ WIRES = ("hang", "unplug", "reboot")
 """... to the link as a whole; ..."""
 MOTION = ("override", "stand")
 """... to the motion of a robot; ..."""
+PANEL = ("estop", "manual")
+"""... at a robot's panel, where the operator presses the emergency stop or turns the key to manual; ..."""
 STATES = ("freeze", "drift", "saturate", "stick", "halt", "spike", "press", "lie", "reverse", *MOTION)
 """... and to the device behind it."""
 NEEDS = {
@@ -75,7 +77,7 @@ class FaultSection(ConfigSection):
     what: Literal[
         "drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception",
         "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt",
-        "spike", "press", "lie", "reverse", "override", "stand",
+        "spike", "press", "lie", "reverse", "override", "stand", "estop", "manual",
     ]  # fmt: skip
     """What goes wrong."""
     link: Literal["", "rtde", "dashboard", "primary"] = ""
@@ -132,6 +134,8 @@ class FaultSection(ConfigSection):
             yield "rate", f"does not go with {begins[0]}; give at_s or contact_s beside it, or nothing"
         if self.what == "reboot" and self.duration_s:
             yield "duration_s", "means nothing for reboot: it takes the time that it takes"
+        if self.what in PANEL and self.duration_s:
+            yield "duration_s", f"means nothing for {self.what}: the operator acts once. Remove the key"
 
     def _what(self) -> Iterator[tuple[str, str]]:
         """The same of the others."""

@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from polishd.config.simulator import MOTION, SimRobotSection
+from polishd.config.simulator import MOTION, PANEL, SimRobotSection
 from polishd.sim_backends.abb_rws.controller import WATCH_TASK, AbbController
 from polishd.sim_backends.abb_rws.service import (
     RwsAnswer,
@@ -368,8 +368,8 @@ async def main(runtime: SimRuntime) -> None:
     server, robot = AbbServer(runtime), runtime.start.config.robot
     wire = SimWire(runtime, server.connected)
     address = await wire.open_tcp(robot.port)
-    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
-    runtime.button(signal.SIGUSR2, lambda: server.press("manual"))
+    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"), "estop")
+    runtime.button(signal.SIGUSR2, lambda: server.press("manual"), "manual")
     wire.ready(f"tcp://{address}")
     await server.run()
 
@@ -381,6 +381,6 @@ SIM_DEVICES = [
         section=SimRobotSection,
         links={"abb_rws": {"": "http"}},
         main=main,
-        faults=MOTION,
+        faults=(*MOTION, *PANEL),
     )
 ]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator import FRAMES, STATES, FaultSection, SimConfig
+from polishd.config.simulator import FRAMES, PANEL, STATES, FaultSection, SimConfig
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.common import framing as numbered
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
@@ -250,6 +250,8 @@ class FaultScript:
     troubles: list[ActiveFault] = field(default_factory=list)
     suffer: Callable[[FaultSection, bool], None] = lambda _fault, _on: None
     """Set or clear that state of the device behind the link."""
+    panel: dict[str, Callable[[], object]] = field(default_factory=dict)
+    """What the operator does at the device's panel, by the name of the fault."""
     unplug: list[tuple[str, Callable[[], None], Callable[[], None]]] = field(default_factory=list)
     """(link, pull the plug, put it in again)."""
     reboot: Callable[[], None] = lambda: None
@@ -334,6 +336,9 @@ class FaultScript:
             self._log("fault_begins", trouble)
         if fault.what in STATES:
             self.suffer(fault, True)
+        elif fault.what in PANEL:
+            self.panel[fault.what]()
+            self._end(trouble, now_s)
         elif fault.what == "reboot":
             self.reboot()
         elif fault.what == "unplug":
@@ -435,7 +440,7 @@ def _problems(config: SimConfig, fault: FaultSection) -> Iterator[tuple[str, str
     if getattr(config, fault.device) is None:
         yield "device", f"there is no {fault.device} in this cell; add [{fault.device}], or remove the fault"
         return
-    if fault.what in STATES:
+    if fault.what in (*STATES, *PANEL):
         can = find_device(config, fault.device).faults
         if fault.what not in can:
             yield "what", f"the {fault.device} cannot {fault.what}; it can {', '.join(can) or 'do none of that kind'}"

@@ -185,8 +185,10 @@ class SimRuntime:
         announce(self.name, endpoint)
         self.link.event("boot", boot_id=self.boot_id, boot_count=self.boot_count)
 
-    def button(self, number: signal.Signals, action: Callable[[], object]) -> None:
-        """Trigger a fault by the signal that a test or a person sends to this process."""
+    def button(self, number: signal.Signals, action: Callable[[], object], fault: str = "") -> None:
+        """Trigger a fault by the signal that a test or a person sends to this process, or by ``[[fault]]``."""
+        if fault:
+            self.script.panel[fault] = action
 
         def pressed() -> None:
             self.link.event("button", signal=number.name)

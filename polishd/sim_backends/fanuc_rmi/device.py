@@ -7,7 +7,7 @@ import signal
 import time
 from typing import cast
 
-from polishd.config.simulator import MOTION
+from polishd.config.simulator import MOTION, PANEL
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire
@@ -87,9 +87,9 @@ async def main(runtime: SimRuntime) -> None:
     port = int(address.rpartition(":")[2])
     session_address = await session.open_tcp(config.session_port or port + 1)
     server.controller.session_port = int(session_address.rpartition(":")[2])
-    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
+    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"), "estop")
     runtime.button(signal.SIGUSR2, lambda: server.press("pause"))
-    runtime.button(signal.SIGALRM, lambda: server.press("teach pendant"))
+    runtime.button(signal.SIGALRM, lambda: server.press("teach pendant"), "manual")
     first.ready(f"tcp://{address}")
     runtime.button(signal.SIGURG, session.cut)
     await server.run()
@@ -102,6 +102,6 @@ SIM_DEVICES = [
         section=SimFanucRmiSection,
         links={"fanuc_rmi": {"connect": "lines", "session": "lines"}},
         main=main,
-        faults=MOTION,
+        faults=(*MOTION, *PANEL),
     )
 ]

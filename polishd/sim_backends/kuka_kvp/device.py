@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import polishd.config.simulator
-from polishd.config.simulator import MOTION, SimRobotSection
+from polishd.config.simulator import MOTION, PANEL, SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.registry import SimDevice
@@ -278,8 +278,8 @@ async def main(runtime: SimRuntime) -> None:
     server = KukaServer(runtime, folder)
     wire = SimWire(runtime, server.connected)
     address = await wire.open_tcp(runtime.start.config.robot.port)
-    runtime.button(signal.SIGUSR1, server.machine.emergency_stop)
-    runtime.button(signal.SIGUSR2, server.machine.turn_to_manual)
+    runtime.button(signal.SIGUSR1, server.machine.emergency_stop, "estop")
+    runtime.button(signal.SIGUSR2, server.machine.turn_to_manual, "manual")
     wire.ready(f"tcp://{address}")
     await server.run()
 
@@ -291,6 +291,6 @@ SIM_DEVICES = [
         section=SimRobotSection,
         links={"kuka_kvp": {"": "kvp"}},
         main=main,
-        faults=MOTION,
+        faults=(*MOTION, *PANEL),
     )
 ]

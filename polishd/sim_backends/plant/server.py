@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from polishd.config.simulator import STATES
+from polishd.config.simulator import PANEL, STATES, WIRES
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common import hidden_truth, runtime
 from polishd.sim_backends.common.runtime import Start, announce, cancel_all, replace_file, until_ended
@@ -138,6 +138,12 @@ class PlantServer:
         self.world.mark_way_out(time.monotonic())
         self.witness.add("plant", "way_out_marked", time.monotonic())
 
+    def mark_pit(self) -> None:
+        """Mark the begin of a fault outside the cell: from now on an account books the removal beyond plan."""
+        now_s = time.monotonic()
+        self.world.mark_pit(now_s)
+        self.witness.add("plant", "pit_marked", now_s)
+
     def change(self, part: str) -> None:
         """Take the loader's report: it loaded that part, or with an empty name unloaded the seat."""
         if self.seat:
@@ -217,7 +223,7 @@ class PlantServer:
             data = {**data, "robot_moves": self.moving, "tool_is_out": self.extended}
         if device == "actuator" and name == "force_setpoint" and data["force_n"] > 0.0:
             self.world.set_point.step(at_s, data["force_n"])
-        if name == "fault_begins" and data["what"] in STATES:
+        if name == "fault_begins" and data["what"] in (*STATES, *PANEL, *WIRES):
             self.world.mark_pit(at_s)
         if name == "program_loaded":
             self.world.account.load(data["sha256"], data["blocks"])
@@ -299,6 +305,7 @@ async def main(start: Start) -> None:
     listener = await asyncio.start_unix_server(server.serve, runtime.socket_path(folder), limit=1 << 26)
     announce("plant", str(path))
     asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, server.mark_way_out)
+    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR2, server.mark_pit)
     asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, server.again)
     async with asyncio.TaskGroup() as group:
         group.create_task(server.tick())

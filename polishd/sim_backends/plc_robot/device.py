@@ -418,7 +418,7 @@ async def main(runtime: SimRuntime) -> None:
     folder = runtime.start.state / PROGRAMS
     folder.mkdir(exist_ok=True)
     server = PlcServer(runtime, folder)
-    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"))
+    runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"), "estop")
     runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
     over = {"opcua": _over_opcua, "ads": _over_ads, "modbus": _over_modbus}
     await over[runtime.start.config.robot.kind](runtime, server)
@@ -458,6 +458,6 @@ SIM_DEVICES = [
         section=SimRobotSection,
         links={"opcua": {"": "opcua"}, "ads": {"": "ads"}, "modbus": {"": "modbus_tcp"}},
         main=main,
-        faults=MOTION,
+        faults=(*MOTION, "estop"),
     )
 ]

@@ -427,7 +427,7 @@ async def main(runtime: SimRuntime) -> None:
     config = runtime.start.config.robot
     wire = SimWire(runtime, server.connected)
     address = await wire.open_tcp(config.port)
-    runtime.button(signal.SIGUSR1, lambda: server.controller.press("emergency stop", time.monotonic()))
+    runtime.button(signal.SIGUSR1, lambda: server.controller.press("emergency stop", time.monotonic()), "estop")
     runtime.button(signal.SIGUSR2, lambda: server.controller.press("pause at the pendant", time.monotonic()))
     wire.ready(f"tcp://{address}")
     await server.run()
@@ -440,6 +440,6 @@ SIM_DEVICES = [
         section=SimRobotSection,
         links={"link": {"": "robot_link"}},
         main=main,
-        faults=MOTION,
+        faults=(*MOTION, "estop"),
     )
 ]

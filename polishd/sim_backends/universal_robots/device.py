@@ -530,7 +530,7 @@ async def main(runtime: SimRuntime) -> None:
     await wires[1].open_tcp(config.dashboard_port or config.port + 1, GREETING)
     await wires[2].open_tcp(config.primary_port or config.port + 2)
     machine = server.machine
-    runtime.button(signal.SIGUSR1, machine.emergency_stop)
+    runtime.button(signal.SIGUSR1, machine.emergency_stop, "estop")
     runtime.button(signal.SIGUSR2, machine.pause)
     wires[0].ready(f"tcp://{address}")
     await server.run()
@@ -543,6 +543,6 @@ SIM_DEVICES = [
         section=SimRobotSection,
         links={"universal_robots": {"rtde": "rtde", "dashboard": "dashboard", "primary": "primary"}},
         main=main,
-        faults=MOTION,
+        faults=(*MOTION, "estop"),
     )
 ]

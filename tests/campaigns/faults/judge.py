@@ -6,15 +6,20 @@ noticed as is the daemon's.
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import signal
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
-from tests.campaigns.faults.links import LINKS
+from polishd.config.cell import load_config
+from polishd.config.simulator import PANEL
+from tests.campaigns.faults.links import KILL, LINKS
 from tests.system.agreement import disagreements
 from tests.system.cell_rig import Daemon, events, summary, whole_account, with_faults
 from tests.system.sim_rig import wait_for
@@ -29,6 +34,8 @@ FORCE_OFF_S = 0.2
 """The most from noticing to force off."""
 LATE_S = 0.5
 """By how much a machine that is busy with other things may notice late."""
+STOPPED_S = 1.0
+"""The most until the daemon notices that the operator has stopped the robot at its panel."""
 NO_POWER = "actuator_lost"
 """This one's spring lifts the tool."""
 REACTIONS = {"retract", "force_off", "force_zero", "contact_lost", "watchdog", "spindle_ramping", "motion_stopped"}
@@ -63,11 +70,14 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
     """Bring a cell into contact, and let it happen."""
     chosen = LINKS[link]
     files = chosen.files(folder)
-    scripted = {**chosen.fault(fault), "contact_s": CONTACT_S}
-    files.sim.write_text(with_faults(files.sim.read_text(), scripted))
+    kills = chosen.faults[fault]["what"] == KILL
+    scripted = [] if kills else [{**chosen.fault(fault), "contact_s": CONTACT_S}]
+    files.sim.write_text(with_faults(files.sim.read_text(), *scripted))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", f"{SPEED:g}"]
     with simulated_cell(files.sim, options, folder / "sim.stderr"):
         with Daemon(files, "--no-hold") as daemon:
+            if kills:
+                kill(daemon, CONTACT_S)
             wait_for(lambda: _acted(files) or daemon.process.poll() is not None, f"{fault} on the {link}", END_S)
             assert events(files, "tool_landed"), daemon.output.read_text()
             within_s = math.inf if chosen.must_end(fault) else GOES_ON * chosen.silence_s
@@ -76,12 +86,27 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
             went_on = daemon.process.poll() is None
             code = daemon.end() if went_on else daemon.wait()
         wait_for(lambda: _rests(files), "the cell to rest", END_S)
+        if kills:  # it can journal nothing: the next start does
+            with Daemon(files) as daemon:
+                daemon.wait_for_state("held")
         return _finding(link, fault, files, went_on=went_on, code=code)
+
+
+def kill(daemon: Daemon, contact_s: float) -> None:
+    """Kill the daemon so long after the tool landed; the plant marks the moment."""
+    files = daemon.files
+    wait_for(lambda: events(files, "tool_landed") or daemon.process.poll() is not None, "contact", END_S)
+    assert events(files, "tool_landed"), daemon.output.read_text()
+    time.sleep(contact_s)  # the case is: so long in contact
+    os.kill(json.loads((files.sim_dir / "pids.json").read_text())["plant"], signal.SIGUSR2)
+    wait_for(lambda: events(files, "pit_marked"), "the mark")
+    daemon.process.kill()
+    daemon.process.wait()
 
 
 def _acted(files: DemoFiles) -> dict[str, Any] | None:
     """The first that the simulator tells of the fault."""
-    return next(iter(events(files, "fault_begins", "fault_acts")), None)
+    return next(iter(events(files, "fault_begins", "fault_acts", "pit_marked")), None)
 
 
 def _polished_on(files: DemoFiles, after_s: float) -> bool:
@@ -107,19 +132,34 @@ def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: in
     log, acted = _told(files), _acted(files)
     since_s = acted["mono_s"] if acted else 0.0
     after = [event for event in log if event["mono_s"] >= since_s]
-    noticed = "" if went_on else _without_folder(str(summary(files)["reason"]), files)
-    reacted_s = None if went_on else first(after, REACTIONS)
+    what = LINKS[link].faults[fault]["what"]
+    noticed = "" if went_on else _without_folder(reason(files, killed=what == KILL), files)
+    reacted_s = None if went_on else first(after, REACTIONS - (STANDS if what in PANEL else set()))
     off_s = None if went_on else first(after, OFF)
     wrong = list(_wrong(link, fault, files, after, acted=acted is not None, noticed=noticed, went_on=went_on))
-    limit_s = LINKS[link].silence_s
+    limit_s = watchdog_s(files) if what == KILL else STOPPED_S if what in PANEL else LINKS[link].silence_s
     detection_s = None if reacted_s is None else round(reacted_s - since_s, 3)
     force_off_s = None if off_s is None or reacted_s is None else round(max(off_s - reacted_s, 0.0), 3)
     if force_off_s is not None and force_off_s > FORCE_OFF_S:
         wrong.append(f"force off {force_off_s} s after it was noticed")
-    if LINKS[link].must_end(fault) and detection_s is not None and _is_loss(fault) and detection_s > limit_s + LATE_S:
+    is_timed = LINKS[link].must_end(fault) and (_is_loss(fault) or what in {*PANEL, KILL})
+    if is_timed and detection_s is not None and detection_s > limit_s + LATE_S:
         wrong.append(f"noticed after {detection_s} s, limit {limit_s} s")
     outcome = "goes on" if went_on else f"contact left, exit code {code}"
     return Finding(link, fault, noticed, detection_s, limit_s, force_off_s, outcome, wrong, load())
+
+
+def reason(files: DemoFiles, *, killed: bool) -> str:
+    """What ended contact: the daemon's reason, or the device whose watchdog acted first where the daemon was killed."""
+    if not killed:
+        return str(summary(files)["reason"])
+    return "".join(f"watchdog of the {event['device']}" for event in events(files, "watchdog")[:1])
+
+
+def watchdog_s(files: DemoFiles) -> float:
+    """Of the cell's actuator."""
+    keys = load_config(files.cell).actuator.model_dump()
+    return float(keys["watchdog_s"] if "watchdog_s" in keys else keys["watchdog_ms"] / 1e3)
 
 
 def _without_folder(text: str, files: DemoFiles) -> str:
@@ -165,11 +205,13 @@ def _wrong(
         yield "the tool stayed on the part"
     still = place({"motion_stopped"})
     lifted = any(event.get("detail") == "lift" for event in after if event["event"] == "motion_stopped")
-    stood = LINKS[link].device == "robot" and LINKS[link].faults[fault]["what"] == "reboot"
+    stood = LINKS[link].device == "robot" and LINKS[link].faults[fault]["what"] in {"reboot", *PANEL}
     if STOPS_FIRST not in noticed and not stood and not lifted and 0 <= still < place({"tool_lifted", "contact_lost"}):
         yield "motion stopped before the tool was up"
     if place(PRESSES) > up:
         yield "it pressed again"
+    if place({"motion_started"}) > place(STANDS):
+        yield "it moved again"
     yield from disagreeing(files, link)
 
 

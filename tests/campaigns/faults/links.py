@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
+from polishd.config import simulator
 from tests.system import abb_rig, fanuc_rmi_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
@@ -44,8 +45,15 @@ FRAMES: Mapping[str, Fault] = {
 UNIT: Mapping[str, Fault] = {"another unit answers": {"what": "wrong_unit"}}
 REFUSES: Mapping[str, Fault] = {"exception": {"what": "exception"}}
 """Where something is asked in contact: the robot link tells by itself."""
+PANEL: Mapping[str, Fault] = {"emergency stop": {"what": "estop"}, "switched to manual": {"what": "manual"}}
+"""The operator stops a robot at its panel."""
+KILL = "kill"
+"""No fault of SIM.toml: the campaign kills the daemon."""
+KILLED: Mapping[str, Fault] = {"daemon killed": {"what": KILL}}
 ALL = {**LOST, **TIMES, **FRAMES}
-MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "saturates"}
+ROBOT = {**ALL, **PANEL, **KILLED}
+"""Of a robot whose controller runs a program."""
+MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "saturates", *PANEL, *KILLED}
 """Of a link that contact needs."""
 
 
@@ -105,7 +113,7 @@ class Link:
     def fault(self, name: str) -> dict[str, Any]:
         """For SIM.toml, without its time."""
         fault = self.faults[name]
-        whole = not self.link or fault["what"] == "reboot"  # which befalls the device, not one of its links
+        whole = not self.link or fault["what"] in {"reboot", *simulator.PANEL}  # they befall the device, not a link
         return {"device": self.device, **({} if whole else {"link": self.link}), **fault}
 
 
@@ -211,12 +219,12 @@ LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
     "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
     "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
-    "Robot Web Services": Link("robot", _abb, ALL, driver="abb_rws", simulator="abb_rws"),
-    "FANUC RMI": Link("robot", _fanuc, ALL, silence_s=FANUC_SILENCE_S, driver="fanuc_rmi", simulator="fanuc_rmi"),
+    "Robot Web Services": Link("robot", _abb, ROBOT, driver="abb_rws", simulator="abb_rws"),
+    "FANUC RMI": Link("robot", _fanuc, ROBOT, silence_s=FANUC_SILENCE_S, driver="fanuc_rmi", simulator="fanuc_rmi"),
     "RTDE": UR(ALL, link="rtde"),
     "dashboard": UR(ASIDE, link="dashboard", needed=False),
     "primary": UR(ASIDE, link="primary", needed=False),
-    "KUKA": Link("robot", _kuka, {**ALL, **REFUSES}, driver="kuka_kvp", simulator="kuka_kvp"),
+    "KUKA": Link("robot", _kuka, {**ROBOT, **REFUSES}, driver="kuka_kvp", simulator="kuka_kvp"),
     "actuator, Modbus RTU": Link("actuator", _small, {**ALL, **UNIT, **REFUSES, **FORCE}),
     "actuator, Modbus TCP": Link("actuator", lambda f: _actuator(f, "modbus_tcp"), {**ALL, **UNIT, **REFUSES}),
     "actuator, lines": Link("actuator", lambda f: _actuator(f, "serial"), {**ALL, **REFUSES}),

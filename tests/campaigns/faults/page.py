@@ -42,10 +42,11 @@ def write(kept: Kept) -> None:
 def _link(rows: Sequence[Row]) -> str:
     """Return the row of a link; cases that are not as required are named."""
     goes_on = sum(row["outcome"] == "goes on" for row in rows)
+    detected = [row["detection_s"] for row in rows if row["limit_s"] == rows[0]["limit_s"]]
     wrong = "; ".join(_bold(f"{row['fault']}: {'; '.join(row['wrong'])}") for row in rows if row["wrong"])
     return _line(
         rows[0]["link"], str(len(rows)), str(goes_on), str(len(rows) - goes_on), f"{rows[0]['limit_s']:g}",
-        _most(row["detection_s"] for row in rows), _most(row["force_off_s"] for row in rows),
+        _most(detected), _most(row["force_off_s"] for row in rows),
         _most((row["load"] for row in rows), 1), wrong or "none", _days(rows),
     )  # fmt: skip
 

@@ -35,6 +35,10 @@ SILENT: Mapping[str, Fault] = {
     "override 50 %, not reported": {**MOTION["override 50 %"], "reported": False},
     "override to 50 % in 2 s, not reported": {**MOTION["override to 50 % in 2 s"], "reported": False},
 }
+STOPPED: Mapping[str, Fault] = {
+    name: {**fault, **IN_CONTACT} for name, fault in {"unplugged": f.LOST["unplugged"], **f.PANEL, **f.KILLED}.items()
+}
+"""Of a robot whose controller runs a program."""
 FORCE: Mapping[str, Fault] = {
     "spike of 36 N": {"what": "spike", "force_n": 36.0, **IN_CONTACT},
     "lands with 49 N": {"what": "press", "force_n": 49.0, **AT_LANDING},
@@ -60,8 +64,8 @@ class Link:
         """The cell with that fault in its script; without progress it is left as early as by default."""
         files = self.write(folder)
         files.cell.write_text(_without(files.cell.read_text(), "no_progress_s"))
-        sim = with_keys(files.sim.read_text(), QUICK)
-        files.sim.write_text(with_faults(sim, {"device": self.device, **self.faults[fault]}))
+        sim, scripted = with_keys(files.sim.read_text(), QUICK), {"device": self.device, **self.faults[fault]}
+        files.sim.write_text(with_faults(sim, *([] if scripted["what"] == f.KILL else [scripted])))
         return files
 
     @contextlib.contextmanager
@@ -135,12 +139,13 @@ def _actuator(write: Callable[[Path], DemoFiles], faults: Mapping[str, Fault] = 
 
 
 ALL = {**MOTION, **SILENT}
+ROBOT = {**ALL, **STOPPED}
 LINKS: Mapping[str, Link] = {
     "robot link": _robot(partial(_demo, f._small), ALL, "robot_link", "robot"),
     "Universal Robots": _robot(partial(_demo, f._universal), ALL, "universal_robots", "universal_robots"),
-    "ABB": _robot(partial(_demo, f._abb), ALL, "abb_rws", "abb_rws"),
-    "FANUC RMI": _robot(_fanuc, ALL, "fanuc_rmi", "fanuc_rmi"),
-    "KUKA": _robot(partial(_demo, f._kuka), ALL, "kuka_kvp", "kuka_kvp"),
+    "ABB": _robot(partial(_demo, f._abb), ROBOT, "abb_rws", "abb_rws"),
+    "FANUC RMI": _robot(_fanuc, ROBOT, "fanuc_rmi", "fanuc_rmi"),
+    "KUKA": _robot(partial(_demo, f._kuka), ROBOT, "kuka_kvp", "kuka_kvp"),
     "PLC robot, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),

@@ -7,6 +7,7 @@ is what ``polishd check --json`` prints for the cell.
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -16,8 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
-from tests.campaigns.faults.judge import OFF, REACTIONS, UP, first, load
-from tests.campaigns.pits.cases import LINKS
+from polishd.config.simulator import PANEL
+from tests.campaigns.faults.judge import LATE_S, OFF, REACTIONS, STANDS, STOPPED_S, UP, first, kill, load, watchdog_s
+from tests.campaigns.faults.judge import reason as reason_of
+from tests.campaigns.faults.links import KILL
+from tests.campaigns.pits.cases import CONTACT_S, LINKS
 from tests.system.cell_rig import account, events, summary
 from tests.system.sim_rig import wait_for
 
@@ -57,6 +61,8 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
     with chosen.running(files) as daemon, daemon() as process:
         wait_for(lambda: events(files, "tool_landed") or process.process.poll() is not None, "contact", END_S)
         assert events(files, "tool_landed"), process.output.read_text()
+        if chosen.faults[fault]["what"] == KILL:
+            kill(process, CONTACT_S)
         wait_for(lambda: process.process.poll() is not None, f"the end of the pass after: {fault}", END_S)
         wait_for(lambda: _rests(files), "the cell to rest", END_S)
     return _finding(link, fault, files, account(files)["pit"], checked)  # whole, once the simulator has ended
@@ -95,8 +101,9 @@ def _finding(
     pit: Mapping[str, Any] | None,
     checked: Mapping[str, Any],
 ) -> Finding:
-    log, unnoticed, reason = events(files), fault in LINKS[link].unnoticed, str(summary(files)["reason"])
-    begun_s, landed_s = first(log, {"fault_begins"}), first(log, {"tool_landed"})
+    log, unnoticed, what = events(files), fault in LINKS[link].unnoticed, LINKS[link].faults[fault]["what"]
+    reason = reason_of(files, killed=what == KILL)
+    begun_s, landed_s = first(log, {"fault_begins", "pit_marked"}), first(log, {"tool_landed"})
     assert begun_s is not None, "the fault did not begin"
     assert landed_s is not None
     wrong_s = max(begun_s, landed_s)
@@ -105,13 +112,17 @@ def _finding(
     assert not left, f"contact was left before the fault: {reason}"
     after = [event for event in log if event["mono_s"] >= wrong_s]
     assert not reason.startswith(("LinkError", "HostFault")), f"this computer was too busy: {reason}"
-    notice_s, off_s = (None, None) if unnoticed else (first(after, REACTIONS), first(after, OFF))
+    reactions = REACTIONS - (STANDS if what in PANEL else set())
+    notice_s, off_s = (None, None) if unnoticed else (first(after, reactions), first(after, OFF))
     assert pit is not None, "the plant knows of no fault"
     removed_nm = max(pit["part_nm"] if unnoticed else pit["peak_nm"], 0.0)  # of a whole pass: it ends off the part
     limit_nm = bound_nm(checked, pit["planned_nm"] if unnoticed else None)
     wrong = []
     if notice_s is None and not unnoticed:
         wrong.append("not noticed")
+    within_s = {KILL: watchdog_s(files), **dict.fromkeys(PANEL, STOPPED_S)}.get(what, math.inf) + LATE_S
+    if notice_s is not None and notice_s - wrong_s > within_s:
+        wrong.append(f"noticed after {notice_s - wrong_s:.2f} s, limit {within_s:g} s")
     if removed_nm > MOST_NM:
         wrong.append(f"{removed_nm:.0f} nm, more than {MOST_NM:g} nm")
     if removed_nm > WITHIN * limit_nm:

@@ -79,6 +79,15 @@ def test_a_frame_is_struck_at_a_time_or_by_its_number_once() -> None:
     assert [third.at(0.0).copies for _ in range(5)] == [1, 1, 2, 1, 1]
 
 
+def test_the_operator_acts_once_at_the_panel() -> None:
+    bench, pressed = Bench({"what": "estop", "at_s": 1.0}, device="robot"), []
+    bench.script.panel["estop"] = lambda: pressed.append("estop")
+    for now_s in (0.5, 1.5, 2.5):
+        bench.script.look(now_s)
+    assert pressed == ["estop"]
+    assert bench.reported == [("fault_begins", "estop")]
+
+
 def test_a_fault_goes_on_for_its_time_and_comes_again() -> None:
     bench = Bench({"what": "drop", "every_s": 5.0, "duration_s": 1.0})
     lost = [now_s for now_s in range(18) if not bench.at(float(now_s)).data]
@@ -314,6 +323,8 @@ SENSELESS = {
     'device = "robot"\nwhat = "drop"\nframe = 2\nrate = 0.1': "5: fault.rate: does not go with frame",
     'device = "robot"\nwhat = "hang"\nrate = 0.1': "4: fault.rate: means nothing for hang; it is for drop",
     'device = "robot"\nwhat = "reboot"\nat_s = 1.0\nduration_s = 1.0': "5: fault.duration_s: means nothing for reboot",
+    'device = "robot"\nwhat = "estop"\nat_s = 1.0\nduration_s = 1.0': "5: fault.duration_s: means nothing for estop",
+    'device = "robot"\nwhat = "manual"\nat_s = 1.0': "3: fault.what: the robot cannot manual; it can override",
     'device = "robot"\nwhat = "delay"\nrate = 0.1': "1: fault.by_s: delay needs it, or jitter_s",
     'device = "actuator"\nwhat = "drift"\nat_s = 1.0': "1: fault.drift_n_s: drift needs it",
     'device = "robot"\nwhat = "exception"\nrate = 0.1\ndirection = "to_device"': "5: fault.direction: exception",
