@@ -19,6 +19,7 @@ from polishd.drivers.transport.program_tracker import ProgramFile, ProgramTracke
 
 LONGEST_LINE = 4096
 
+_WHOLE = re.compile(r"-?\d{1,10}", re.ASCII)
 _MOVE = re.compile(r"(S?)(?:LIN|PTP|CIRC)\s", re.IGNORECASE)
 _DWELL = re.compile(r"WAIT\s+SEC\s+([0-9.eE+-]+)", re.IGNORECASE)
 _WAIT = re.compile(r"WAIT\b", re.IGNORECASE)
@@ -255,10 +256,9 @@ class KukaSample:
 
 def read_number(values: Mapping[str, str], name: str) -> int:
     """Return a whole number. ProtocolError if the value is none."""
-    try:
-        return int(values[name])
-    except ValueError:
-        raise ProtocolError(f"{name}: {values[name][:40]!r} is no whole number") from None
+    if not _WHOLE.fullmatch(values[name]):
+        raise ProtocolError(f"{name}: {values[name][:40]!r} is no whole number")
+    return int(values[name])
 
 
 def _flag(values: Mapping[str, str], name: str) -> bool:

@@ -209,6 +209,7 @@ SYSTEM: dict[str, KrlValue] = {
     "$BWDSTART": False, "$CMD": 0, "$H_POS": {},
     "$ROBNAME[]": "polishd", "$TRAFONAME[]": "#KR10R1100SIXX_SIM", "$KR_SERIALNO": 970001,
     "$RCV_INFO[]": "KS V8.3.21 (simulated)", "$PRO_STATE0": ACTIVE,
+    **{f"{kind}_DATA[{number}]": {} for kind in ("TOOL", "BASE") for number in range(1, 33)},
 }  # fmt: skip
 """System variables that only hold a value."""
 

@@ -22,7 +22,7 @@ SERIAL: list[Any] = [
 ]  # fmt: skip
 NETWORK: list[Any] = [
     lines.OwnLines, lines.LinuxCnc, modbus.ProfiledTcp, modbus.Controller, robots.RobotLink, robots.Rtde,
-    robots.Dashboard,
+    robots.Dashboard, robots.KukaProxy,
 ]  # fmt: skip
 
 
