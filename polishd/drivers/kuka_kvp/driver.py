@@ -175,6 +175,12 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         why = sample.obstacle()
         return DeviceStatus(not why, self._link.stands, sample.state.removeprefix("#P_").lower(), why)
 
+    async def prepare(self, plan: Plan) -> None:
+        """See Robot. Another program that is selected is left as it is."""
+        if self._link.last.is_other:
+            self._require_able()
+        await super().prepare(plan)
+
     async def hold(self) -> None:
         """See Robot. The robot brakes on its path; ``resume`` continues from there."""
         self._link.check()
@@ -187,9 +193,12 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
 
     async def _clear(self) -> None:
         await self._link.until(lambda: self._link.ticks or not self._link.last.is_watched)
+        self._require_able()
+        await self._stop()
+
+    def _require_able(self) -> None:
         if why := self._link.last.obstacle():
             raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again.")
-        await self._stop()
 
     def _track(self, plan: Plan, blocks: int) -> KrlProgramTracker:
         return KrlProgramTracker(plan, blocks)

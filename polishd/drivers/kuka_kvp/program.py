@@ -235,6 +235,11 @@ class KukaSample:
         """Whether a program runs, or the robot moves. A program of polishd that waits at a stop does not."""
         return not self.robot_stopped or (self.active and self.phase != KrlPhase.WAITS)
 
+    @property
+    def is_other(self) -> bool:
+        """Whether a program is selected that is not polishd's."""
+        return self.state != FREE and self.selected.upper() != NAME
+
     def obstacle(self) -> str:
         """Return why the controller would not run a program as written; empty if it would."""
         if self.mode not in AUTOMATIC:
@@ -245,7 +250,7 @@ class KukaSample:
             return "its drives are off (switch them on at the pendant)"
         if self.override < 1.0:
             return f"its program override is at {100.0 * self.override:.5g} % (set it to 100 %)"
-        if self.state != FREE and self.selected.upper() != NAME:
+        if self.is_other:
             return f"the program {self.selected} is selected (deselect it at the pendant)"
         if self.submit_state != ACTIVE:
             return "its submit interpreter does not run (select and start SPS at the pendant)"
