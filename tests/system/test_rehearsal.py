@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from polishd.process.removal import contact
 from tests.patience import SOON_S
 from tests.system import abb_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import Daemon, events, summary, with_keys, write_small
+from tests.system.sim_rig import ROOT
 from tests.system.test_daemon import require_safe_order
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
@@ -69,6 +71,19 @@ def kuka(out: Path) -> DemoFiles:
     return kuka_rig.write_files(out, tolerance_nm=40.0, max_cycles=3)
 
 
+def kuka_example(out: Path) -> DemoFiles:
+    """The shipped example of a cell with a KUKA arm, and a program that polishd makes for it."""
+    out.mkdir()
+    files = DemoFiles(out)
+    files.cell = out / "kuka_cell.toml"
+    for name in ("kuka_cell.toml", "drive.eds"):
+        shutil.copy(ROOT / "examples" / name, out)
+    files.cell.write_text(with_keys(files.cell.read_text(), {"cell": {"run_dir": "run"}}))
+    make = [sys.executable, "-m", "polishd", "program", "make", "raster", "--cell", str(files.cell), "--pitch", "1"]
+    subprocess.run([*make, "--dwell", "0.1", "--out", str(out / "program.src")], check=True, capture_output=True)
+    return files
+
+
 @contextlib.contextmanager
 def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
     """The rehearsal of a cell, its simulator running."""
@@ -85,7 +100,9 @@ def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
             simulator.communicate(timeout=SOON_S)  # until all that it started is gone
 
 
-@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka])
+@pytest.mark.parametrize(
+    "make", [lens, loads_files, arm, abb, kuka, pytest.param(kuka_example, marks=pytest.mark.slow)]
+)
 def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(tmp_path: Path, make: Maker) -> None:
     real = make(tmp_path / "cell")
     before = {path: path.read_bytes() for path in real.out.rglob("*") if path.is_file()}

@@ -337,17 +337,17 @@ class KrlProgramTracker(ProgramTracker):
 
     def update(self, sample: KukaSample) -> None:
         """Process a sample. ProtocolError if it is impossible."""
-        if not self.token or self.ended:
+        if not self.token or self.dropped or self.state == "done":
             return
         if sample.token != self.token:
             if self.live:
                 self._fail("the controller runs another program, or has restarted")
             return
         before, self._last = self._last, sample
-        self.live = True
         if before is not None:
-            self._book(before, sample)
+            self._book(before, sample)  # in a fault, too: the robot stands in the block that it reported last
         if not self.ended:
+            self.live = True
             self._judge(before or sample, sample)
 
     def _book(self, before: KukaSample, sample: KukaSample) -> None:

@@ -250,6 +250,14 @@ def test_a_stop_at_the_pendant_is_a_fault_at_once() -> None:
     assert (tracker.state, tracker.detail) == ("fault", "the program was stopped at the controller")
 
 
+def test_a_stop_at_the_pendant_leaves_no_block_out_that_was_reported() -> None:
+    followed = Followed().runs()
+    tracker = followed.see(0.3, (5, 0.0), (6, 0.2), (7, 0.25), state="#P_STOP")
+    assert (tracker.state, len(tracker)) == ("fault", 0)
+    followed.see(0.4)
+    assert (tracker.state, len(tracker)) == ("fault", 7)
+
+
 def test_another_program_is_a_fault() -> None:
     tracker = Followed().runs().see(0.2, token=3)
     assert "another program" in tracker.detail
