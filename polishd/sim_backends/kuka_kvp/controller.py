@@ -247,6 +247,8 @@ class KukaController:
     """... and the last value."""
     waits: bool = False
     """A WAIT SEC is under way."""
+    _wait_ends_s: float = 0.0
+    """When it is over as programmed: a tool that stands until then removes what is planned."""
     _acts: bool = False
     """Motions and waits follow each other: none of its program's stops has come yet."""
     _pace: float = 1.0
@@ -391,7 +393,8 @@ class KukaController:
         if self.state == ACTIVE and self._program is not None and not (stands and self.waits):
             self._run(self._program)
         planned = self.program_override / 100.0 * self.override.actual(self.wall_s())
-        share = 0.0 if stands else 1.0 if self.waits or self.path.at_rest else planned
+        in_wait = self.waits and self.time_s < self._wait_ends_s
+        share = 1.0 if in_wait else 0.0 if stands else 1.0 if self.waits or self.path.at_rest else planned
         if share != (self.shares[-1][1] if self.shares else self.share):
             self.shares.append((self.wall_s(), share))
         if stands or self.state == END or self.path.at_rest:
@@ -528,7 +531,9 @@ class KukaController:
         if seconds <= 0.0:
             return
         self.waits = self._acts = True
-        for _ in range(math.ceil((seconds + self.path.overhead_s) / self.frame_s - 1e-9)):
+        frames = math.ceil((seconds + self.path.overhead_s) / self.frame_s - 1e-9)
+        self._wait_ends_s = self.time_s + frames * self.frame_s
+        for _ in range(frames):
             yield
         self.waits = False
 

@@ -167,6 +167,15 @@ def test_a_fault_of_the_script_is_an_override_or_a_standstill_that_is_not_report
     assert (found.moves, found.state, found.read("$OV_PRO")) == (False, "#P_ACTIVE", 50)
 
 
+def test_a_standstill_in_a_wait_is_as_planned_until_the_wait_would_end() -> None:
+    found = started(f"{lin(2.0)}\nWAIT SEC 0.24\n{lin(4.0)}")
+    run(found, lambda: found.waits)
+    began_s = found.time_s
+    found.override.suffer(FaultSection(device="robot", what="stand", at_s=0.0), True)
+    run(found, lambda: found.shares[-1:] and found.shares[-1][1] == 0.0)
+    assert found.time_s - began_s == pytest.approx(0.24, abs=1.5 * FRAME_S)
+
+
 def test_a_stop_brakes_on_the_path_and_a_start_continues() -> None:
     found = started(f"$VEL.CP=0.02\n{lin(10.0)}\nN=7")
     run(found, lambda: found.path.pose.xyz_mm[0] > 3.0)
