@@ -75,7 +75,11 @@ def disagreements(journal: Path, books: list[dict[str, Any]], *, by_model: bool 
     ours = passes(journal)
     told, found = {one.sha256: one for one in ours}, []
     if not told.keys() & {book["sha256"] for book in books}:
-        told = {book["sha256"]: one for book, one in zip(books, ours, strict=False)}
+        left = iter(ours)
+        told, one = {}, next(left, None)
+        for book in books:  # a touch-off's program is shorter than a pass
+            if one is not None and len(book["contact_s"]) >= len(one.run_s):
+                told[book["sha256"]], one = one, next(left, None)
     for book in books:
         one = told.get(book["sha256"]) or Told.of_no_pass(book["sha256"], len(book["contact_s"]))
         contact_s, beyond_s = np.split(np.array(book["contact_s"]), [len(one.run_s)])

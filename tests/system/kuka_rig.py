@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +25,16 @@ FEED_MM_S = 20.0
 SAFE_Z_MM = 20.0
 
 
-def write_files(out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **job: Any) -> DemoFiles:
+def write_files(
+    out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, part: Mapping[str, float] = PART, **job: Any
+) -> DemoFiles:
     """The demo's files with a small part, that robot, and a program with a dwell at each point.
 
     ``cut_s``: the robot's link is cut after so long in contact.
     """
     files = write_small(out, **job)
     take(files, watchdog_s=watchdog_s, cut_s=cut_s)
-    with_part(files, PART, module, pv_nm=500.0, rms_nm=100.0)
+    with_part(files, part, module, pv_nm=500.0, rms_nm=100.0)
     return files
 
 

@@ -28,6 +28,7 @@ from polishd.api import (
 )
 from polishd.config.fields import ConfigSection
 from polishd.drivers.kuka_kvp.program import (
+    KEPT,
     LONGEST_LINE,
     NAME,
     READ_NAMES,
@@ -36,7 +37,9 @@ from polishd.drivers.kuka_kvp.program import (
     KrlProgram,
     KrlProgramTracker,
     KukaSample,
+    begin_names,
     krl_lines,
+    read_number,
 )
 from polishd.drivers.kuka_kvp.protocol import KvpLink, ProgramOrder
 from polishd.drivers.transport.address import Tcp, tcp_address
@@ -64,7 +67,11 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
         """The program of polishd gets heartbeats; without them the watchdog stops it."""
         self._poll_s, self._silence_s = poll_s, silence_s
         self._beat = secrets.randbelow(BEATS)
-        self._clock_s = self._changed_s = self._beaten_s = 0.0
+        self.ticks = False
+        """The watchdog's clock has advanced since the connection was opened."""
+        self._changed_s = self._beaten_s = 0.0
+        self._block = self._token = 0
+        """Of the last sample, of this connection or an earlier one."""
 
     async def _connect(self) -> KvpLink:
         link = await KvpLink.connect(self.address, self._silence_s)
@@ -76,7 +83,7 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
         except BaseException:
             await link.close()
             raise
-        self._changed_s = time.monotonic()
+        self.ticks, self._changed_s = False, time.monotonic()
         return link
 
     async def _disconnect(self, link: KvpLink) -> None:
@@ -90,18 +97,29 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
         while True:
             sample = KukaSample.of(await link.read(READ_NAMES))
             self._require_clock(sample)
-            yield replace(sample, is_watched=time.monotonic() - self._changed_s < self._silence_s)
+            begins = await self._begins(link, sample)
+            watched = time.monotonic() - self._changed_s < self._silence_s
+            yield replace(sample, is_watched=watched, begins=begins)
             if self.beats and time.monotonic() - self._beaten_s > BEAT_S:
                 self._beaten_s, self._beat = time.monotonic(), (self._beat + 1) % BEATS
                 await link.write("POLISHD_BEAT", str(self._beat))
             await timer.next()
 
+    async def _begins(self, link: KvpLink, sample: KukaSample) -> tuple[tuple[int, float], ...]:
+        """Read the begins of the blocks since the last sample. The watchdog keeps the newest ones."""
+        first = self._block + 1 if sample.token == self._token else sample.block
+        blocks = range(max(first, sample.block - KEPT + 1), sample.block + 1 if sample.token else 0)
+        names = begin_names(blocks)
+        values = await link.read(names) if names else {}
+        self._block, self._token = sample.block, sample.token
+        return tuple((block, read_number(values, name) / 1e3) for block, name in zip(blocks, names, strict=True))
+
     def _require_clock(self, sample: KukaSample) -> None:
         last = self._recent[-1] if self._recent else sample
         if sample.session != last.session or sample.time_s < last.time_s:
             raise LinkError(f"{self.name}: the controller or its watchdog has restarted")
-        if sample.time_s != self._clock_s:
-            self._clock_s, self._changed_s = sample.time_s, time.monotonic()
+        if last.time_s != sample.time_s:
+            self.ticks, self._changed_s = True, time.monotonic()
 
 
 # The robot.
@@ -157,6 +175,12 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         why = sample.obstacle()
         return DeviceStatus(not why, self._link.stands, sample.state.removeprefix("#P_").lower(), why)
 
+    async def prepare(self, plan: Plan) -> None:
+        """See Robot. Another program that is selected is left as it is."""
+        if self._link.last.is_other:
+            self._require_able()
+        await super().prepare(plan)
+
     async def hold(self) -> None:
         """See Robot. The robot brakes on its path; ``resume`` continues from there."""
         self._link.check()
@@ -168,9 +192,13 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         await self._link.standstill("hold", self._times.stop_s)
 
     async def _clear(self) -> None:
+        await self._link.until(lambda: self._link.ticks or not self._link.last.is_watched)
+        self._require_able()
+        await self._stop()
+
+    def _require_able(self) -> None:
         if why := self._link.last.obstacle():
             raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again.")
-        await self._stop()
 
     def _track(self, plan: Plan, blocks: int) -> KrlProgramTracker:
         return KrlProgramTracker(plan, blocks)

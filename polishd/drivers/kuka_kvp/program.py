@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from polishd.drivers.transport.program_tracker import ProgramFile, ProgramTracke
 
 LONGEST_LINE = 4096
 
+_WHOLE = re.compile(r"-?\d{1,10}", re.ASCII)
 _MOVE = re.compile(r"(S?)(?:LIN|PTP|CIRC)\s", re.IGNORECASE)
 _DWELL = re.compile(r"WAIT\s+SEC\s+([0-9.eE+-]+)", re.IGNORECASE)
 _WAIT = re.compile(r"WAIT\b", re.IGNORECASE)
@@ -145,10 +147,29 @@ class KrlProgram(ProgramFile):
 
 # Snapshots of the controller.
 
-ACTIVE, STOPPED = "#P_ACTIVE", "#P_STOP"
-SYSTEM = ("$PRO_STATE1", "$MODE_OP", "$OV_PRO", "$PERI_RDY", "$STOPMESS", "$ROB_STOPPED")
-OWN = ("POLISHD_TOKEN", "POLISHD_PHASE", "POLISHD_SEEN", "POLISHD_BEGAN", "POLISHD_CLOCK", "POLISHD_SESSION")
+FREE, ACTIVE, STOPPED = "#P_FREE", "#P_ACTIVE", "#P_STOP"
+SYSTEM = (
+    "$PRO_STATE1",
+    "$PRO_NAME1[]",
+    "$PRO_STATE0",
+    "$MODE_OP",
+    "$OV_PRO",
+    "$PERI_RDY",
+    "$STOPMESS",
+    "$ROB_STOPPED",
+)
+OWN = ("POLISHD_TOKEN", "POLISHD_PHASE", "POLISHD_RUN", "POLISHD_SEEN", "POLISHD_CLOCK", "POLISHD_SESSION")
 READ_NAMES = (*SYSTEM, *OWN)
+"""The running time before the block: at the first it had not ended if the second is still under way."""
+KEPT = 64
+"""Blocks of which the watchdog keeps the begin."""
+
+
+def begin_names(blocks: Iterable[int]) -> list[str]:
+    """Return the variables in which the watchdog keeps the begins of the blocks."""
+    return [f"POLISHD_BEGINS[{block % KEPT + 1}]" for block in blocks]
+
+
 MODES = {"#T1": "T1", "#T2": "T2"}
 AUTOMATIC = ("#AUT", "#EX", "#EXT")
 
@@ -159,6 +180,10 @@ class KukaSample:
 
     state: str
     """``$PRO_STATE1``."""
+    selected: str
+    """Name of the selected program, of which the state is."""
+    submit_state: str
+    """State of the submit interpreter."""
     mode: str
     override: float
     """``$OV_PRO`` as a fraction."""
@@ -168,33 +193,36 @@ class KukaSample:
     token: int
     """Token of the program that reported last."""
     phase: int
+    run_s: float
+    """Time for which it has run, without its waits before a stop."""
     block: int
-    """Its present block, and ..."""
-    began_s: float
-    """... when the watchdog saw it begin."""
+    """Its present block."""
     time_s: float
     session: int
     """Start of the watchdog."""
     is_watched: bool = True
     """The watchdog runs: its clock does."""
+    begins: tuple[tuple[int, float], ...] = ()
+    """Block and running time at which the watchdog saw it begin, for the blocks since the sample before."""
 
     @classmethod
-    def of(cls, values: Mapping[str, str], *, is_watched: bool = True) -> KukaSample:
+    def of(cls, values: Mapping[str, str]) -> KukaSample:
         """Parse the values. ProtocolError if one has another type."""
         return cls(
             values["$PRO_STATE1"],
+            values["$PRO_NAME1[]"].strip('"'),
+            values["$PRO_STATE0"],
             values["$MODE_OP"],
-            _number(values, "$OV_PRO") / 100.0,
+            read_number(values, "$OV_PRO") / 100.0,
             _flag(values, "$PERI_RDY"),
             _flag(values, "$STOPMESS"),
             _flag(values, "$ROB_STOPPED"),
-            _number(values, "POLISHD_TOKEN"),
-            _number(values, "POLISHD_PHASE"),
-            _number(values, "POLISHD_SEEN"),
-            _number(values, "POLISHD_BEGAN") / 1e3,
-            _number(values, "POLISHD_CLOCK") / 1e3,
-            _number(values, "POLISHD_SESSION"),
-            is_watched,
+            read_number(values, "POLISHD_TOKEN"),
+            read_number(values, "POLISHD_PHASE"),
+            read_number(values, "POLISHD_RUN") / 1e3,
+            read_number(values, "POLISHD_SEEN"),
+            read_number(values, "POLISHD_CLOCK") / 1e3,
+            read_number(values, "POLISHD_SESSION"),
         )
 
     @property
@@ -207,6 +235,11 @@ class KukaSample:
         """Whether a program runs, or the robot moves. A program of polishd that waits at a stop does not."""
         return not self.robot_stopped or (self.active and self.phase != KrlPhase.WAITS)
 
+    @property
+    def is_other(self) -> bool:
+        """Whether a program is selected that is not polishd's."""
+        return self.state != FREE and self.selected.upper() != NAME
+
     def obstacle(self) -> str:
         """Return why the controller would not run a program as written; empty if it would."""
         if self.mode not in AUTOMATIC:
@@ -217,22 +250,39 @@ class KukaSample:
             return "its drives are off (switch them on at the pendant)"
         if self.override < 1.0:
             return f"its program override is at {100.0 * self.override:.5g} % (set it to 100 %)"
+        if self.is_other:
+            return f"the program {self.selected} is selected (deselect it at the pendant)"
+        if self.submit_state != ACTIVE:
+            return "its submit interpreter does not run (select and start SPS at the pendant)"
         if not self.is_watched:
-            return "its watchdog does not run (start the submit interpreter with polishd_watch)"
+            return "its watchdog does not run (call POLISHD_WATCH in SPS.SUB, docs/protocols/kuka_kvp.md)"
         return ""
 
 
-def _number(values: Mapping[str, str], name: str) -> int:
-    try:
-        return int(values[name])
-    except ValueError:
-        raise ProtocolError(f"{name}: {values[name][:40]!r} is no whole number") from None
+def read_number(values: Mapping[str, str], name: str) -> int:
+    """Return a whole number. ProtocolError if the value is none."""
+    if not _WHOLE.fullmatch(values[name]):
+        raise ProtocolError(f"{name}: {values[name][:40]!r} is no whole number")
+    return int(values[name])
 
 
 def _flag(values: Mapping[str, str], name: str) -> bool:
     if values[name] not in ("TRUE", "FALSE"):
         raise ProtocolError(f"{name}: {values[name][:40]!r} is neither TRUE nor FALSE")
     return values[name] == "TRUE"
+
+
+def _last_of_each_time(sample: KukaSample) -> Iterator[tuple[int, float]]:
+    """Yield the begins, of blocks that begin at one time the last; the sample's block with its running time if unknown.
+
+    The blocks before it share the time: they ended within one cycle of the watchdog.
+    """
+    begins = [(block, began_s) for block, began_s in sample.begins if block < sample.block]
+    last_s = next((began_s for block, began_s in sample.begins if block == sample.block), sample.run_s)
+    for (block, began_s), (_, next_s) in pairwise([*begins, (sample.block, last_s)]):
+        if began_s < next_s:
+            yield block, began_s
+    yield sample.block, last_s
 
 
 START_S = 5.0
@@ -242,7 +292,7 @@ START_S = 5.0
 class KrlProgramTracker(ProgramTracker):
     """Tracker of one program from its load to its end.
 
-    The watchdog reports the block in motion and when it saw it begin, to one of its cycles. A block counts only after
+    The watchdog reports the block in motion and when it saw each begin, to one of its cycles. A block counts only after
     a second sample that does not contradict the first, so that one damaged number counts no block.
     """
 
@@ -261,7 +311,7 @@ class KrlProgramTracker(ProgramTracker):
         self._dwells = np.zeros(blocks, dtype=bool)
         self._dwell_s = np.zeros(blocks)
         self._low_s = 0.0
-        """Process time of the sample before the last."""
+        """Running time of the sample before the last."""
         self._last: KukaSample | None = None
 
     def sent(self, file: KrlProgram, lines: Sequence[KrlLine]) -> None:
@@ -287,37 +337,28 @@ class KrlProgramTracker(ProgramTracker):
 
     def update(self, sample: KukaSample) -> None:
         """Process a sample. ProtocolError if it is impossible."""
-        if not self.token or self.ended:
+        if not self.token or self.dropped or self.state == "done":
             return
         if sample.token != self.token:
             if self.live:
                 self._fail("the controller runs another program, or has restarted")
             return
         before, self._last = self._last, sample
-        self.live = True
         if before is not None:
-            self._book(before, sample)
+            self._book(before, sample)  # in a fault, too: the robot stands in the block that it reported last
         if not self.ended:
+            self.live = True
             self._judge(before or sample, sample)
 
     def _book(self, before: KukaSample, sample: KukaSample) -> None:
         if not before.block <= sample.block <= self.blocks:
             raise ProtocolError(f"the robot reports block {sample.block} of {self.blocks}, after block {before.block}")
-        if before.block > len(self):
-            high_s = max(self.clock_s - max(before.time_s - before.began_s, 0.0), self._low_s, self.began_s)
-            self._advance(before.block, high_s)
-        self._low_s = self.clock_s
-        if before.active and before.phase == KrlPhase.RUNS:
-            self.clock_s += max(sample.time_s - before.time_s, 0.0)
-        elif before.active and sample.block > before.block:
-            self.clock_s += max(sample.time_s - self._left_stop_s(before, sample), 0.0)
-
-    def _left_stop_s(self, before: KukaSample, sample: KukaSample) -> float:
-        """Time at which it went on from a stop, of which only the begin of a later block is known."""
-        over = slice(before.block, sample.block)
-        if self._moves[over].any():
-            return before.time_s
-        return max(before.time_s, sample.began_s - float(self._dwell_s[over].sum()))
+        if sample.run_s < before.run_s:
+            raise ProtocolError(f"the robot reports {sample.run_s:g} s of running, after {before.run_s:g} s")
+        for block, began_s in _last_of_each_time(before):
+            if block > len(self):
+                self._advance(block, min(max(began_s, self._low_s, self.began_s), sample.run_s))
+        self._low_s, self.clock_s = before.run_s, sample.run_s
 
     def _judge(self, before: KukaSample, sample: KukaSample) -> None:
         """Set the state, and end the program if it cannot continue."""

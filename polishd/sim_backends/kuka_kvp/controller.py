@@ -192,6 +192,8 @@ RAMP_S = 0.1
 """Time in which a stop reduces the pace from full to zero."""
 LATE_S = 30.0
 """A process that was delayed catches up with at most this time."""
+PASSES = 100
+"""Passes through the body of a WHILE in one cycle; of a LOOP there is one."""
 STILL_MM_S = 1e-6
 SAME = 1e-6
 """Distance, mm, and angle, rad, of two poses that are the same."""
@@ -207,6 +209,7 @@ SYSTEM: dict[str, KrlValue] = {
     "$BWDSTART": False, "$CMD": 0, "$H_POS": {},
     "$ROBNAME[]": "polishd", "$TRAFONAME[]": "#KR10R1100SIXX_SIM", "$KR_SERIALNO": 970001,
     "$RCV_INFO[]": "KS V8.3.21 (simulated)", "$PRO_STATE0": ACTIVE,
+    **{f"{kind}_DATA[{number}]": {} for kind in ("TOOL", "BASE") for number in range(1, 33)},
 }  # fmt: skip
 """System variables that only hold a value."""
 
@@ -244,6 +247,8 @@ class KukaController:
     """... and the last value."""
     waits: bool = False
     """A WAIT SEC is under way."""
+    _wait_ends_s: float = 0.0
+    """When it is over as programmed: a tool that stands until then removes what is planned."""
     _acts: bool = False
     """Motions and waits follow each other: none of its program's stops has come yet."""
     _pace: float = 1.0
@@ -388,7 +393,8 @@ class KukaController:
         if self.state == ACTIVE and self._program is not None and not (stands and self.waits):
             self._run(self._program)
         planned = self.program_override / 100.0 * self.override.actual(self.wall_s())
-        share = 0.0 if stands else 1.0 if self.waits or self.path.at_rest else planned
+        in_wait = self.waits and self.time_s < self._wait_ends_s
+        share = 1.0 if in_wait else 0.0 if stands else 1.0 if self.waits or self.path.at_rest else planned
         if share != (self.shares[-1][1] if self.shares else self.share):
             self.shares.append((self.wall_s(), share))
         if stands or self.state == END or self.path.at_rest:
@@ -455,12 +461,15 @@ class KukaController:
         return ""
 
     def _branch(self, statement: KrlBranch) -> Frames:
+        passes = 0
         while statement.condition is None or statement.condition(self.read):
             if left := (yield from self._body(statement.body)):
                 return "" if statement.repeats and left == "exit" else left
             if not statement.repeats:
                 return ""
-            yield
+            passes += 1
+            if statement.condition is None or passes % PASSES == 0:
+                yield
         return (yield from self._body(statement.otherwise))
 
     def _call(self, statement: KrlCall) -> Generator[None, None, None]:
@@ -522,7 +531,9 @@ class KukaController:
         if seconds <= 0.0:
             return
         self.waits = self._acts = True
-        for _ in range(math.ceil((seconds + self.path.overhead_s) / self.frame_s - 1e-9)):
+        frames = math.ceil((seconds + self.path.overhead_s) / self.frame_s - 1e-9)
+        self._wait_ends_s = self.time_s + frames * self.frame_s
+        for _ in range(frames):
             yield
         self.waits = False
 

@@ -287,6 +287,7 @@ _ASSIGN = re.compile(r"([$A-Z_][$\w]*)(?:\[([^\]]*)\])?(?:\.(\w+))?\s*=(?!=)\s*(
 _IF = re.compile(r"IF\s+(.+?)\s+THEN", re.IGNORECASE)
 _WHILE = re.compile(r"WHILE\s+(.+)", re.IGNORECASE)
 _CALL = re.compile(r"(\w+)\s*\((.*)\)", re.IGNORECASE)
+_ARRAY = re.compile(r"(\w+)\[(\d+)\]")
 _DEFAULTS: dict[str, KrlValue] = {"INT": 0, "REAL": 0.0, "BOOL": False, "CHAR": "", "MODUS_T": "#SYNC"}
 
 
@@ -347,7 +348,10 @@ class _Reader:
             self.found.data[name.strip().upper()] = compiled(value, number)(_constant)
             return
         for one in name.split(","):
-            self.found.data[one.strip().upper()] = _DEFAULTS.get(match[1].upper(), {})
+            key, default = one.strip().upper(), _DEFAULTS.get(match[1].upper(), {})
+            array = _ARRAY.fullmatch(key)
+            keys = [f"{array[1]}[{at}]" for at in range(1, int(array[2]) + 1)] if array else [key]
+            self.found.data |= dict.fromkeys(keys, default)
 
     def _body(self, *ends: str) -> Generator[None, None, list[KrlStatement]]:
         body: list[KrlStatement] = []

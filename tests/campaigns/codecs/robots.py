@@ -15,6 +15,8 @@ from zlib import crc32
 
 from polishd.api import DeviceRefused, LinkError, ProtocolError, RobotTimes
 from polishd.drivers.fanuc_rmi.protocol import RmiSession
+from polishd.drivers.kuka_kvp.program import READ_NAMES, KukaSample
+from polishd.drivers.kuka_kvp.protocol import KvpLink
 from polishd.drivers.robot_link.driver import RobotLinkConnection
 from polishd.drivers.robot_link.protocol import FrameType
 from polishd.drivers.transport.address import Tcp
@@ -377,3 +379,94 @@ def _is_like(found: Any, good: Any) -> bool:
         return bool(found == good)
     whole = type(found) is int
     return whole if type(good) is int else (whole or type(found) is float) and abs(found) <= 1e9
+
+
+KVP_TEXTS = {
+    "$PRO_STATE1": "#P_ACTIVE", "$PRO_NAME1[]": '"POLISHD"', "$PRO_STATE0": "#P_ACTIVE", "$MODE_OP": "#AUT",
+    "$OV_PRO": "100", "$PERI_RDY": "TRUE", "$STOPMESS": "FALSE", "$ROB_STOPPED": "FALSE",
+}  # fmt: skip
+
+
+class KukaProxy(Talk):
+    """A reading of all variables. An answer has the number of its request, and no checksum."""
+
+    name = "KUKA, C3 Bridge"
+    driver = "kuka_kvp"
+    resyncs = False
+    ends = True
+
+    def __init__(self, address: Tcp = HOST, **how: Any) -> None:
+        super().__init__(**how)
+        self._address = address
+        self._link: KvpLink | None = None
+        self._number = 0
+        """Of the last request."""
+
+    async def open(self) -> None:
+        self._link = await KvpLink.connect(self._address, self.silence_s)
+
+    async def close(self) -> None:
+        if self._link is not None:
+            await self._link.close()
+
+    async def ask(self) -> Any:
+        assert self._link is not None
+        try:
+            return KukaSample.of(await self._link.read(READ_NAMES))
+        except ProtocolError as error:
+            raise LinkError(str(error)) from error  # as the polled connection ends
+
+    def replies(self, data: bytes) -> Iterable[bytes]:
+        while data:
+            self._number, size = struct.unpack_from(">HH", data)
+            data = data[4 + size :]
+            number = next(self.numbers)
+            texts = KVP_TEXTS | {name: str(number + at) for at, name in enumerate(READ_NAMES) if name not in KVP_TEXTS}
+            self.truth = KukaSample.of(texts)
+            yield self._frame(6, self._values(texts[name] for name in READ_NAMES))
+
+    def refusal(self, reply: bytes) -> bytes:
+        payload = self._values(["", *[""] * (len(READ_NAMES) - 1)], code=0)
+        return self._frame(6, payload, b"\0\0\0")
+
+    def tells(self, sent: bytes, reply: bytes) -> bool:
+        """An answer of the right number, kind and count could be the right one, whatever its digits are."""
+        size = 4 + int.from_bytes(sent[2:4]) if len(sent) >= 4 else len(sent) + 1
+        rest = sent[size:]
+        if rest and rest[:2] in (b"", rest[:1], struct.pack(">H", (self._number + 1) & 0xFFFF)):
+            return False
+        is_answer = size <= len(sent) and sent[:2] == reply[:2] and sent[4:6] == reply[4:6]
+        return sent[:size] == reply or not is_answer or not self._is_whole(sent[6 : size - 3])
+
+    def damages(self, rng: random.Random, reply: bytes) -> Sequence[bytes]:
+        payload, texts = reply[5:-3], [*KVP_TEXTS.values()]
+        numbers = ["1", "1x", "", "1.5", "#A", "\u0661", "1_0", " 1", "+1"]
+        return [
+            self._frame(6, payload, number=self._number ^ 1 << rng.randrange(16)),
+            self._frame(rng.choice([0, 1, 5, 7, 10, 255]), payload),
+            self._frame(6, bytes([payload[0] ^ 1]) + payload[1:]),
+            self._frame(6, payload[: rng.randrange(len(payload))]),
+            self._frame(6, payload + rng.randbytes(rng.randrange(1, 9))),
+            self._frame(6, b""),
+            struct.pack(">HH", self._number, rng.choice([0, 1, 2, 3, 0x8001, 0xFFFF])) + reply[4:],
+            self._frame(6, self._values([*texts, *(rng.choice(numbers[1:]) for _ in READ_NAMES[len(texts) :])])),
+        ]
+
+    def _frame(self, kind: int, payload: bytes, foot: bytes = b"\0\1\1", number: int | None = None) -> bytes:
+        head = struct.pack(">HHB", self._number if number is None else number, 1 + len(payload) + len(foot), kind)
+        return head + payload + foot
+
+    def _values(self, texts: Iterable[str], code: int = 1) -> bytes:
+        wide = [bytes([code]) + struct.pack(">H", len(text)) + text.encode("utf-16-le") for text in texts]
+        return bytes([len(READ_NAMES)]) + b"".join(wide)
+
+    def _is_whole(self, values: bytes) -> bool:
+        """As many values as there are variables, to the last byte, and numbers where numbers belong."""
+        found = []
+        for _ in READ_NAMES:
+            if len(values) < 3:
+                return False
+            size = 2 * int.from_bytes(values[1:3])
+            found.append(values[3 : 3 + size].decode("utf-16-le", "replace"))
+            values = values[3 + size :] if len(values) >= 3 + size else b""
+        return not values and all(re.fullmatch(r"-?\d+", text, re.ASCII) for text in found[len(KVP_TEXTS) :])

@@ -13,7 +13,7 @@ from tests.campaigns.codecs.virtual import virtual
 TALKS: list[type[Talk]] = [
     lines.ForceSensor, lines.Monitor, lines.Loader, lines.VoiceCoil, lines.ForceGauge, lines.OwnLines, lines.LinuxCnc,
     modbus.ProfiledRtu, modbus.ProfiledTcp, modbus.Controller, robots.RobotLink, robots.Rtde, robots.Dashboard,
-    rws.RobotWebServices, robots.FanucRmi,
+    rws.RobotWebServices, robots.FanucRmi, robots.KukaProxy,
 ]  # fmt: skip
 
 

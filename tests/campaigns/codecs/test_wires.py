@@ -22,7 +22,7 @@ SERIAL: list[Any] = [
 ]  # fmt: skip
 NETWORK: list[Any] = [
     lines.OwnLines, lines.LinuxCnc, modbus.ProfiledTcp, modbus.Controller, robots.RobotLink, robots.Rtde,
-    robots.Dashboard, robots.FanucRmi,
+    robots.Dashboard, robots.FanucRmi, robots.KukaProxy,
 ]  # fmt: skip
 
 

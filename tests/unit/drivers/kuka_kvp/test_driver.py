@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,25 +92,50 @@ async def test_what_an_operator_does_in_motion_is_a_fault_at_once(fake: FakeKuka
     assert fake.stands
 
 
-@pytest.mark.parametrize("what", ["manual mode", "emergency stop", "override"])
+def select_another(fake: FakeKuka, *, runs: bool = False) -> None:
+    (fake.folder / "cell.src").write_text("DEF CELL( )\nWAIT SEC 60\nEND\n")
+    fake.select("/R1/CELL", lambda _code: None)
+    assert not runs or fake.machine.start()
+
+
+def stop_submit(fake: FakeKuka) -> None:
+    fake.machine._submit, fake.machine.values["$PRO_STATE0"] = None, "#P_STOP"
+
+
+WRONG: dict[str, tuple[Callable[[FakeKuka], object], str]] = {
+    **{name: HAPPENS[name] for name in ("manual mode", "emergency stop", "override")},
+    "override 0": (lambda fake: fake.machine.write("$OV_PRO", 0), "override is at 0 % .set it to 100 %"),
+    "drives off": (lambda fake: setattr(fake.machine, "drives_on", False), "drives are off .switch them on"),
+    "another program selected": (select_another, "program CELL is selected .deselect it at the pendant"),
+    "another program runs": (partial(select_another, runs=True), "program CELL is selected"),
+    "submit interpreter": (stop_submit, "submit interpreter does not run .select and start SPS"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
 async def test_a_controller_in_the_wrong_state_is_refused_before_it_gets_a_program(
     fake: FakeKuka, robot: KukaRobot, what: str
 ) -> None:
-    happens, said = HAPPENS[what]
+    happens, said = WRONG[what]
     happens(fake)
+    before = (fake.machine.state, fake.machine.name)
     count = robot._connection.count
     await until(lambda: robot._connection.count > count + 2)
     with pytest.raises(DeviceRefused, match=said):
         await robot.prepare(plan_of(LINES))
-    assert fake.machine.state == "#P_FREE"
+    assert (fake.machine.state, fake.machine.name) == before
     assert not (await robot.status()).ready
 
 
-async def test_without_its_watchdog_a_program_is_refused(fake: FakeKuka, robot: KukaRobot) -> None:
-    fake.machine._submit = None
-    await asyncio.sleep(TIMES.silence_s + 0.2)
-    with pytest.raises(DeviceRefused, match="watchdog does not run"):
-        await robot.prepare(plan_of(LINES))
+async def test_without_its_watchdog_a_program_is_refused_at_once(fake: FakeKuka) -> None:
+    fake.machine._submit = None  # the interpreter runs, without a call of POLISHD_WATCH
+    robot = kuka_robot(fake)
+    await robot.open()
+    try:
+        with pytest.raises(DeviceRefused, match=r"watchdog does not run \(call POLISHD_WATCH"):
+            await robot.prepare(plan_of(LINES))
+    finally:
+        await robot.close()
 
 
 async def test_without_polishds_variables_the_link_is_refused(fake: FakeKuka) -> None:

@@ -93,12 +93,21 @@ def test_a_program_of_another_language_is_refused() -> None:
 
 # Samples.
 
-AT_REST = KukaSample("#P_ACTIVE", "#AUT", 1.0, True, False, True, TOKEN, KrlPhase.WAITS, 0, 0.0, 10.0, 1)
+AT_REST = KukaSample(
+    "#P_ACTIVE", "POLISHD", "#P_ACTIVE", "#AUT", 1.0, True, False, True, TOKEN, KrlPhase.WAITS, 0.0, 0, 10.0, 1
+)
 
 
 def values(**other: str) -> dict[str, str]:
     found = dict.fromkeys(READ_NAMES, "0")
-    found |= {"$PRO_STATE1": "#P_ACTIVE", "$MODE_OP": "#AUT", "$OV_PRO": "100", "$PERI_RDY": "TRUE"}
+    found |= {
+        "$PRO_STATE1": "#P_ACTIVE",
+        "$PRO_NAME1[]": '"POLISHD"',
+        "$PRO_STATE0": "#P_ACTIVE",
+        "$MODE_OP": "#AUT",
+        "$OV_PRO": "100",
+        "$PERI_RDY": "TRUE",
+    }
     return found | {"$STOPMESS": "FALSE", "$ROB_STOPPED": "TRUE"} | other
 
 
@@ -120,7 +129,9 @@ def test_a_value_of_another_type_is_a_protocol_error(wrong: dict[str, str]) -> N
         ({"drives_ready": False}, "drives are off"),
         ({"stop_message": True}, "stop message"),
         ({"override": 0.5}, "override is at 50 %"),
-        ({"is_watched": False}, "watchdog does not run"),
+        ({"selected": "CELL"}, "the program CELL is selected (deselect it"),
+        ({"submit_state": "#P_STOP"}, "submit interpreter does not run (select and start SPS"),
+        ({"is_watched": False}, "watchdog does not run (call POLISHD_WATCH"),
     ],
 )
 def test_a_controller_that_would_not_run_it_says_why(change: dict[str, object], why: str) -> None:
@@ -139,11 +150,18 @@ class Followed:
         self.sample = AT_REST
         self.see(0.0)
 
-    def see(self, time_s: float, **changed: object) -> KrlProgramTracker:
-        """A sample at that time after the first."""
-        self.sample = replace(self.sample, time_s=10.0 + time_s, **changed)  # type: ignore[arg-type]
+    def see(self, time_s: float, *begins: tuple[int, float], **changed: object) -> KrlProgramTracker:
+        """A sample at that time after the first; ``begins`` of the blocks since the sample before."""
+        block = begins[-1][0] if begins else self.sample.block
+        changes = {"block": block, "begins": begins, "run_s": self.run_s(time_s), **changed}
+        self.sample = replace(self.sample, time_s=10.0 + time_s, **changes)  # type: ignore[arg-type]
         self.tracker.update(self.sample)
         return self.tracker
+
+    def run_s(self, time_s: float) -> float:
+        """As the watchdog has it: all of the time since the last sample where that ran."""
+        ran = self.sample.phase == KrlPhase.RUNS and self.sample.active
+        return self.sample.run_s + (time_s + 10.0 - self.sample.time_s if ran else 0.0)
 
     def runs(self) -> Followed:
         """It was commanded to run, and does."""
@@ -155,8 +173,8 @@ class Followed:
 
 def test_a_block_ends_when_the_watchdog_saw_the_next_begin() -> None:
     followed = Followed().runs()
-    followed.see(0.30, block=6, began_s=10.20)
-    followed.see(0.60, block=7, began_s=10.45)
+    followed.see(0.30, (6, 0.20))
+    followed.see(0.60, (7, 0.45))
     tracker = followed.see(0.61)
     assert len(tracker) == 7
     # lines 0 to 4 take no time
@@ -165,16 +183,42 @@ def test_a_block_ends_when_the_watchdog_saw_the_next_begin() -> None:
     assert tracker[4].end_s == tracker[4].start_s == 0.0
 
 
+def test_a_slow_reading_loses_the_begin_of_no_block() -> None:
+    followed = Followed().runs()
+    followed.see(0.90, (5, 0.0), (6, 0.20), (7, 0.45), (8, 0.70))
+    tracker = followed.see(0.91)
+    assert [tracker[seq].end_s for seq in range(5, 8)] == pytest.approx([0.20, 0.45, 0.70])
+
+
+def test_blocks_that_ended_within_one_cycle_of_the_watchdog_share_its_time() -> None:
+    followed = Followed().runs()
+    followed.see(0.30, (5, 0.0), (6, 0.20), (7, 0.20))  # two moves
+    tracker = followed.see(0.31)
+    assert [tracker[seq].end_s - tracker[seq].start_s for seq in (5, 6)] == pytest.approx([0.10, 0.10])
+
+
 def test_a_block_counts_only_with_a_second_sample() -> None:
     followed = Followed().runs()
-    assert len(followed.see(0.3, block=7, began_s=10.2)) == 0
+    assert len(followed.see(0.3, (7, 0.2))) == 0
     with pytest.raises(ProtocolError, match="block 6 of 9, after block 7"):
         followed.see(0.4, block=6)
 
 
+def test_a_damaged_begin_lies_within_the_samples_and_a_running_time_does_not_fall() -> None:
+    followed = Followed().runs()
+    followed.see(0.1)
+    followed.see(0.30, (6, 71.0))
+    tracker = followed.see(0.31, (7, 0.001))
+    assert tracker[5].end_s == pytest.approx(0.31)
+    tracker = followed.see(0.50)
+    assert tracker[6].end_s == pytest.approx(0.31)
+    with pytest.raises(ProtocolError, match="0 s of running, after 0"):
+        followed.see(0.6, run_s=0.0)
+
+
 def test_no_time_passes_while_it_is_held() -> None:
     followed = Followed().runs()
-    followed.see(0.2, block=6, began_s=10.1)
+    followed.see(0.2, (6, 0.1))
     followed.tracker.holds = True
     followed.see(0.3, state="#P_STOP", robot_stopped=True)
     tracker = followed.see(9.0)
@@ -182,21 +226,20 @@ def test_no_time_passes_while_it_is_held() -> None:
     assert tracker.clock_s == pytest.approx(0.3)
     tracker.go(19.0)
     followed.see(9.1, state="#P_ACTIVE", robot_stopped=False)
-    followed.see(9.5, block=7, began_s=19.4)
+    followed.see(9.5, (7, 0.6))
     followed.see(9.6)
-    assert tracker[6].end_s - tracker[6].start_s == pytest.approx(0.5, abs=0.11)
+    assert tracker[6].end_s - tracker[6].start_s == pytest.approx(0.5)
 
 
 def test_a_dwell_right_behind_a_stop_lasts_as_long_as_programmed() -> None:
-    """When it went on is known only from the begin of the next block."""
     followed = Followed().runs()
     followed.tracker.until = 7
-    followed.see(0.3, block=7, began_s=10.2, phase=KrlPhase.WAITS, robot_stopped=True)
+    followed.see(0.3, (6, 0.1), (7, 0.2), run_s=0.2, phase=KrlPhase.WAITS, robot_stopped=True)
     followed.see(0.4)
     followed.tracker.until = 9
     followed.tracker.go(10.4)
     followed.see(9.0)
-    followed.see(9.5, block=9, began_s=19.4, phase=KrlPhase.RUNS)  # 0.25 s of dwell since 19.15
+    followed.see(9.5, (8, 0.45), (9, 0.45), run_s=0.55, phase=KrlPhase.RUNS)
     tracker = followed.see(9.6)
     assert len(tracker) == 9
     assert tracker[7].end_s - tracker[7].start_s == pytest.approx(0.25)
@@ -207,6 +250,14 @@ def test_a_stop_at_the_pendant_is_a_fault_at_once() -> None:
     assert (tracker.state, tracker.detail) == ("fault", "the program was stopped at the controller")
 
 
+def test_a_stop_at_the_pendant_leaves_no_block_out_that_was_reported() -> None:
+    followed = Followed().runs()
+    tracker = followed.see(0.3, (5, 0.0), (6, 0.2), (7, 0.25), state="#P_STOP")
+    assert (tracker.state, len(tracker)) == ("fault", 0)
+    followed.see(0.4)
+    assert (tracker.state, len(tracker)) == ("fault", 7)
+
+
 def test_another_program_is_a_fault() -> None:
     tracker = Followed().runs().see(0.2, token=3)
     assert "another program" in tracker.detail
@@ -215,7 +266,7 @@ def test_another_program_is_a_fault() -> None:
 def test_it_is_held_at_a_stop_and_does_not_begin_too_late() -> None:
     followed = Followed().runs()
     followed.tracker.until = 6
-    followed.see(0.3, block=6, began_s=10.2, phase=KrlPhase.WAITS, robot_stopped=True)
+    followed.see(0.3, (6, 0.2), phase=KrlPhase.WAITS, robot_stopped=True)
     tracker = followed.see(0.4)
     assert (tracker.state, tracker.held_at) == ("held", 6)
     tracker.until = 9
@@ -230,16 +281,16 @@ def test_a_wait_that_is_reported_before_its_block_is_no_fault() -> None:
     followed = Followed().runs()
     followed.tracker.until = 6
     followed.now_s = 60.0  # the command was given long ago
-    followed.see(0.3, block=5, began_s=10.2, phase=KrlPhase.WAITS, robot_stopped=True)
-    assert followed.see(0.4, block=6, began_s=10.3).state != "fault"
+    followed.see(0.3, (5, 0.2), phase=KrlPhase.WAITS, robot_stopped=True)
+    assert followed.see(0.4, (6, 0.3)).state != "fault"
     tracker = followed.see(0.5)
     assert (tracker.state, tracker.held_at) == ("held", 6)
 
 
 def test_the_end_needs_all_blocks() -> None:
     followed = Followed().runs()
-    followed.see(0.3, block=8, began_s=10.2)
+    followed.see(0.3, (8, 0.2))
     assert followed.see(0.5, phase=KrlPhase.DONE, state="#P_END", robot_stopped=True).state == "running"
-    followed.see(0.6, block=9, began_s=10.5)
+    followed.see(0.6, (9, 0.5))
     tracker = followed.see(0.7)
     assert (tracker.state, len(tracker)) == ("done", 9)

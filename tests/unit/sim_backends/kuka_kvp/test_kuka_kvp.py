@@ -167,6 +167,15 @@ def test_a_fault_of_the_script_is_an_override_or_a_standstill_that_is_not_report
     assert (found.moves, found.state, found.read("$OV_PRO")) == (False, "#P_ACTIVE", 50)
 
 
+def test_a_standstill_in_a_wait_is_as_planned_until_the_wait_would_end() -> None:
+    found = started(f"{lin(2.0)}\nWAIT SEC 0.24\n{lin(4.0)}")
+    run(found, lambda: found.waits)
+    began_s = found.time_s
+    found.override.suffer(FaultSection(device="robot", what="stand", at_s=0.0), True)
+    run(found, lambda: found.shares[-1:] and found.shares[-1][1] == 0.0)
+    assert found.time_s - began_s == pytest.approx(0.24, abs=1.5 * FRAME_S)
+
+
 def test_a_stop_brakes_on_the_path_and_a_start_continues() -> None:
     found = started(f"$VEL.CP=0.02\n{lin(10.0)}\nN=7")
     run(found, lambda: found.path.pose.xyz_mm[0] > 3.0)
@@ -245,13 +254,38 @@ def test_the_watchdog_leaves_other_programs_alone() -> None:
     assert found.state == "#P_ACTIVE"
 
 
-def test_the_watchdog_reports_when_a_block_began() -> None:
-    found = started(f"$VEL.CP=0.02\n{lin(2.0)}\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO POLISHD_BLOCK=4\n{lin(4.0)}")
-    run(found, lambda: found.values["POLISHD_BLOCK"] == 4)
-    at_s = found.time_s
-    beating(found, 10, every=0)
-    assert found.values["POLISHD_SEEN"] == 4
-    assert found.values["POLISHD_BEGAN"] / 1e3 == pytest.approx(at_s, abs=2 * FRAME_S)
+def test_the_watchdog_reports_when_each_block_began_in_the_programs_running_time() -> None:
+    blocks = [f"TRIGGER WHEN DISTANCE=0 DELAY=0 DO POLISHD_BLOCK={at}\n{lin(float(at))}" for at in (1, 2)]
+    body = ["POLISHD_TOKEN=5", "POLISHD_LIMIT=60000", "$VEL.CP=0.02", "POLISHD_PHASE=2", *blocks]
+    body += ["WAIT SEC 0", "POLISHD_BLOCK=5", "POLISHD_PHASE=1", "WAIT FOR N==1", "POLISHD_PHASE=2", "WAIT SEC 0.24"]
+    body += ["WAIT SEC 0", "POLISHD_BLOCK=6", "WAIT SEC 1"]
+    found = started("\n".join(body))
+    run(found, lambda: found.values["POLISHD_BLOCK"] == 5)
+    beating(found, 100, every=0)
+    found.write("N", 1)
+    run(found, lambda: found.values["POLISHD_SEEN"] == 6)
+    began = [found.read(f"POLISHD_BEGINS[{at + 1}]") / 1e3 for at in (1, 2, 3, 4, 5, 6)]
+    assert began[1] - began[0] == pytest.approx(0.05 + 0.02 / 0.8, abs=FRAME_S)
+    assert began[2] == began[3] == began[4]  # two that it did not see
+    assert began[5] - began[4] == pytest.approx(0.24, abs=0.1 * FRAME_S)
+
+
+def test_the_watchdog_keeps_the_begins_of_the_last_blocks_and_starts_anew_with_a_program() -> None:
+    found = started("POLISHD_TOKEN=5\nPOLISHD_PHASE=2\nPOLISHD_BLOCK=100\nWAIT SEC 0.24\nPOLISHD_BLOCK=150\nWAIT SEC 1")
+    run(found, lambda: found.values["POLISHD_SEEN"] == 150)
+    began = [found.read(f"POLISHD_BEGINS[{at % 64 + 1}]") for at in range(100, 151)]
+    assert began[0] == 0
+    assert len(set(began[1:])) == 1
+    assert began[1] / 1e3 == pytest.approx(0.24, abs=0.1 * FRAME_S)
+    found.write("POLISHD_TOKEN", 0)
+    found.write("POLISHD_BLOCK", 0)
+    beating(found, 2, every=0)
+    assert (found.values["POLISHD_SEEN"], found.values["POLISHD_RUN"]) == (0, 0)
+
+
+def test_a_while_runs_at_once_and_a_loop_once_in_a_cycle() -> None:
+    found = started("WHILE N<250\nN=N+1\nENDWHILE\nLOOP\nM=M+1\nENDLOOP")
+    assert run(found, lambda: found.values["M"] == 3) == pytest.approx(5 * FRAME_S)
 
 
 # The proxy.
