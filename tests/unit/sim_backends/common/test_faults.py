@@ -173,6 +173,7 @@ REPLIES: dict[str, list[tuple[bytes, bytes]]] = {
     "slcan exception": [(b"t58584300200005000000\r", b"t58588000200000000606\r"), (b"t18521122\r", b"")],
     "socketcand wrong_unit": [(b"< frame 185 0.0 1122 >", b"< frame 186 0.0 1122 >"), (b"< ok >", b"")],
     "socketcand exception": [(b"< frame 585 0.0 4300200005000000 >", b"< frame 585 0.0 8000200000000606 >")],
+    "kvp exception": [(bytes.fromhex("00300009000003313030000101"), bytes.fromhex("00300009000003313030000000"))],
     "robot_link exception": [(framing.pack(framing.STATUS, b"{}"), b"")],
     "ads exception": [(bytes(38), bytes(30) + b"\x08\x07\x00\x00" + bytes(4)), (bytes(20), b"")],
 }
