@@ -159,7 +159,8 @@ class RwsServices:
             await self._post(f"/rw/rapid/tasks/{task}{tail}loadmod", values, within_s=within_s)
             await self._post(f"/rw/rapid/execution{tail}resetpp", {})
         finally:
-            await self._post(f"/rw/mastership/{domain}{tail}release", {})
+            with contextlib.suppress(DeviceRefused):  # it is held no more, where the controller has ended the session
+                await self._post(f"/rw/mastership/{domain}{tail}release", {})
 
     async def subscribe(self, symbols: tuple[Symbol, ...]) -> EventStream:
         """Subscribe to variables, execution state, mode and speed; opens the stream of events."""

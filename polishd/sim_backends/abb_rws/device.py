@@ -194,7 +194,8 @@ class RwsPeer:
             self._subscription.send = None
         if self._session is not None:
             self._session.connections -= 1
-            self._service.left(self._session)
+            if self._calls < MOST_CALLS:  # else the controller has closed it, and the session goes on by its cookies
+                self._service.left(self._session)
 
     async def _requests(self) -> bool:
         while True:
