@@ -62,7 +62,8 @@ def module(config: CellConfig) -> bytes:
     turns = [to_abc(from_wrist(float(a), float(c))) for a, c in np.stack(angles_from_axis(axes), axis=1)]
     moves = [_lin(point, turn) for point, turn in zip(points, turns, strict=True)]
     above, over = ([*points[at][:2], points[at][2] + SAFE_Z_MM] for at in (0, -1))
-    lines = [b"&ACCESS RVP", b"DEF polish( )", b";FOLD posted", b"$VEL.CP=%.4f" % (FEED_MM_S / 1e3)]
+    lines = [b"&ACCESS RVP", b"DEF polish( )", b";FOLD posted", b"$TOOL=TOOL_DATA[1]", b"$BASE=BASE_DATA[1]"]
+    lines += [b"$VEL.CP=%.4f" % (FEED_MM_S / 1e3)]
     lines += [_lin(above, turns[0]), moves[0]]
     for move in moves[1:]:
         lines += [move, b"WAIT SEC %.3f" % DWELL_S]

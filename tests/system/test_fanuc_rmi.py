@@ -15,7 +15,7 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port,
 from tests.commissioned import forged
 from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, account, events, summary, with_keys
-from tests.system.fanuc_rmi_rig import QUICK, RIMMED, dwell_cell, write_files
+from tests.system.fanuc_rmi_rig import RIMMED, dwell_cell, write_files
 from tests.system.sim_rig import alive, wait_for
 from tests.system.test_daemon import require_safe_order
 from tests.system.test_queue import polishd, queue
@@ -26,6 +26,12 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 DEVICE, SAFETY = 5, 7
 ONE_PASS = {"tolerance_nm": 0.01, "max_cycles": 1}
 EARLY = 20
+PATIENT = {
+    "robot": {"silence_s": 6.0, "watchdog_s": 60.0},
+    "actuator": {"silence_s": 0.8, "watchdog_ms": 1200},
+    "machine": {"least_point_s": 0.7},
+    "job": {"stream_ahead_s": 2.0},
+}
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -127,8 +133,7 @@ def test_a_queue_of_two_parts_is_polished_one_program_after_the_other(tmp_path: 
 def test_the_example_is_rehearsed_to_its_tolerance(tmp_path: Path) -> None:
     """In real time: a pass takes two and a half minutes. On a busy computer all devices are silent at times."""
     cell = Path(shutil.copytree(EXAMPLES / "fanuc_rmi", tmp_path / "fanuc_rmi")) / "cell.toml"
-    patient = {**QUICK, "robot": {**QUICK["robot"], "silence_s": 6.0, "watchdog_s": 60.0}}
-    cell.write_text(with_keys(cell.read_text(), patient))
+    cell.write_text(with_keys(cell.read_text(), PATIENT))
     forged(Path(shutil.copy(EXAMPLES / "instrument.toml", tmp_path)))
     with rehearsed(cell) as files:
         with Daemon(files, "--no-hold") as daemon:
