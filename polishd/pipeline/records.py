@@ -396,7 +396,7 @@ class PlanResult:
         """Facts of the pass for the journal."""
         certificate = asdict(self.certificate)
         total = {"predicted_rms_nm": self.predicted_rms_nm, "dwell_s": float(self.expected_s.sum())}
-        expected = None if self.forecast is None else asdict(self.forecast)
+        expected = None if self.forecast is None else self.forecast.facts()
         tool = {"tool": self.tool} if self.tool else {}
         return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -50,6 +51,10 @@ class Forecast:
     """Ripple that the pass adds; the interval contains what the map's samples show of it."""
     gain_nm: float | None = None
     """RMS on the process grid before the pass less the RMS that the plan leaves there; None: unknown."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return {**asdict(self), "ripple": {"lines": self.ripple.facts(), "radius_error": self.ripple.radius_error}}
 
     @property
     def words(self) -> str:

@@ -26,6 +26,7 @@ OTHER = {
     ("cia402_actuator", "silence_s"): "a drive is asked four things for each reading",
     ("universal_robots", "silence_s"): "RTDE reports 10 times a second or more",
     ("fanuc_rmi", "watchdog_s"): "it stops after the instructions that it holds",
+    ("kuka_kvp", "silence_s"): "the proxy answers at once",
     ("linuxcnc", "silence_s"): "linuxcncrsh answers at once",
     ("linuxcnc", "stop_s"): "it stops with its own acceleration",
 }
