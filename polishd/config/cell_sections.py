@@ -368,7 +368,8 @@ class LimitsSection(ConfigSection):
     significantly larger. [1]"""
     min_improvement: ShareOrNone = _FINDING.min_improvement
     """Least share of the predicted RMS improvement that a pass must reach. Two passes in a row below it end the job as
-    stalled. 0: no pass does. [1]"""
+    stalled. The daemon makes no pass that gains less than the ripple that it adds, or that will probably not improve
+    the surface. 0: no pass does either. [1]"""
 
     @property
     def finding(self) -> FindingLimits:

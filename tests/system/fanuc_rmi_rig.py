@@ -28,7 +28,10 @@ QUICK = {
     "actuator": {"silence_s": 0.8, "watchdog_ms": 1200, "retract_s": 2.0},
     "machine": {"max_feed_mm_s": float(FEED_MM_S), "least_point_s": 1.5},
     "job": {"stream_ahead_s": 4.5},
-    "limits": {"max_removal_nm": 3000.0},
+    "limits": {
+        "max_removal_nm": 3000.0,
+        "min_improvement": 0.0,
+    },  # few points, far apart: their ripple is no matter here
 }
 """A lift by the actuator's watchdog takes 3.4 s; three points of 1.5 s have a margin for a busy computer."""
 
