@@ -6,8 +6,9 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,7 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 DEVICE, SAFETY = 5, 7
 ONE_PASS = {"tolerance_nm": 0.01, "max_cycles": 1}
-EARLY = 20
+EARLY = 6
 PATIENT = {
     "robot": {"silence_s": 6.0, "watchdog_s": 60.0},
     "actuator": {"silence_s": 0.8, "watchdog_ms": 1200},
@@ -37,6 +38,11 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 def press(files: DemoFiles, number: signal.Signals) -> None:
     os.kill(int(json.loads((files.sim_dir / "pids.json").read_text())["robot"]), number)
+
+
+def few(faults: Mapping[str, Any], first: str) -> list[Any]:
+    """In real time each takes a minute: all but the first are slow."""
+    return [first, *(pytest.param(name, marks=pytest.mark.slow) for name in faults if name != first)]
 
 
 Happens = Callable[[DemoFiles], object]
@@ -54,7 +60,7 @@ OVERRIDES = {
 }
 
 
-@pytest.mark.parametrize("fault", STANDS)
+@pytest.mark.parametrize("fault", few(STANDS, "emergency stop"))
 def test_contact_is_left_at_once_and_the_daemon_says_why(tmp_path: Path, fault: str) -> None:
     happens, said = STANDS[fault]
     with dwell_cell(tmp_path / "cell", **ONE_PASS) as files:
@@ -70,7 +76,7 @@ def test_contact_is_left_at_once_and_the_daemon_says_why(tmp_path: Path, fault: 
         assert "motion_started" not in [event["event"] for event in log[last["tool_lifted"] :]]
 
 
-@pytest.mark.parametrize("fault", OVERRIDES)
+@pytest.mark.parametrize("fault", few(OVERRIDES, "stands, reports running"))
 def test_slow_standing_and_lost_robots_are_left(tmp_path: Path, fault: str) -> None:
     with dwell_cell(tmp_path / "cell", OVERRIDES[fault], **ONE_PASS) as files:
         with Daemon(files, "--no-hold") as daemon:
@@ -95,6 +101,7 @@ def test_a_daemon_that_dies_leaves_a_robot_that_ends_what_it_holds_and_moves_no_
         assert not alive(daemon.process.pid)
 
 
+@pytest.mark.slow
 def test_the_seat_is_touched_off_at_three_places_by_tp_programs(tmp_path: Path) -> None:
     with dwell_cell(tmp_path / "cell", part=RIMMED, touch_off=True, **ONE_PASS) as files:
         with Daemon(files, "--no-hold") as daemon:
@@ -129,6 +136,7 @@ def test_a_queue_of_two_parts_is_polished_one_program_after_the_other(tmp_path: 
         assert len(events(files, "initialized")) >= 2, "a part takes a pass at least"
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(6 * SOON_S)
 def test_the_example_is_rehearsed_to_its_tolerance(tmp_path: Path) -> None:
     """In real time: a pass takes two and a half minutes. On a busy computer all devices are silent at times."""
