@@ -37,6 +37,7 @@ def test_the_seat_is_measured_by_a_touch_off_before_the_pass(tmp_path: Path) -> 
         require_agreement(files)
 
 
+@pytest.mark.slow
 def test_a_first_touch_is_polished_as_it_was_planned(tmp_path: Path) -> None:
     files = write_small(tmp_path / "cell", tolerance_nm=3.0, max_cycles=2)
     take(files)
@@ -53,6 +54,7 @@ def test_a_first_touch_is_polished_as_it_was_planned(tmp_path: Path) -> None:
     assert summary(files)["outcome"] == "as_programmed"
 
 
+@pytest.mark.slow
 def test_a_queue_of_two_parts(tmp_path: Path) -> None:
     files = write_files(tmp_path / "cell", tolerance_nm=60.0, max_cycles=2)
     loader = f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{free_port()}"\n'
