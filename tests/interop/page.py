@@ -34,8 +34,8 @@ polishd was the other. polishd's driver tested a server, a slave or a node; a cl
 simulated device. For ADS and CANopen the driver and the server use the same library (pyads, canopen): there the test
 only shows that polishd uses it correctly.
 
-`make interop` fetches the peers of PyPI and npm ([requirements.txt](../tests/interop/requirements.txt),
-[package.json](../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page.
+`make interop` fetches the peers of PyPI and npm ([requirements.txt](../../tests/interop/requirements.txt),
+[package.json](../../tests/interop/package.json)) into `build/interop`, runs `tests/interop` and writes this page.
 An administrator must install those of Debian. A missing peer is skipped by its name.
 
     apt-get install DEBIAN
