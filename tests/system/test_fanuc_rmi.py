@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,28 +11,17 @@ from typing import Any
 
 import pytest
 
-from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
-from tests.commissioned import forged
-from tests.patience import SOON_S
-from tests.system.cell_rig import Daemon, account, events, summary, with_keys
-from tests.system.fanuc_rmi_rig import RIMMED, dwell_cell, write_files
+from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
+from tests.system.cell_rig import Daemon, account, events
+from tests.system.fanuc_rmi_rig import RIMMED, dwell_cell
 from tests.system.sim_rig import alive, wait_for
 from tests.system.test_daemon import require_safe_order
-from tests.system.test_queue import polishd, queue
-from tests.system.test_rehearsal import rehearsed
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 DEVICE, SAFETY = 5, 7
 ONE_PASS = {"tolerance_nm": 0.01, "max_cycles": 1}
 EARLY = 6
-PATIENT = {
-    "robot": {"silence_s": 6.0, "watchdog_s": 60.0},
-    "actuator": {"silence_s": 0.8, "watchdog_ms": 1200},
-    "machine": {"least_point_s": 0.7},
-    "job": {"stream_ahead_s": 2.0},
-}
-EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def press(files: DemoFiles, number: signal.Signals) -> None:
@@ -112,39 +100,3 @@ def test_the_seat_is_touched_off_at_three_places_by_tp_programs(tmp_path: Path) 
     assert json.loads((files.run_dir / "cycle-00/touch_off.json").read_text())["seat"]
     assert all(stand["most_n"] <= 1.5 and stand["most_rpm"] == 0.0 for stand in touched), touched
     assert [(round(stand["x_mm"]), round(stand["y_mm"])) for stand in touched] == [(0, 5), (-4, -2), (4, -2)], touched
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(10 * SOON_S)
-def test_a_queue_of_two_parts_is_polished_one_program_after_the_other(tmp_path: Path) -> None:
-    """In real time: a pass takes a minute and a half."""
-    files = write_files(tmp_path / "cell", part=RIMMED)
-    loader = f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{free_port()}"\n'
-    files.cell.write_text(with_keys(files.cell.read_text() + loader, {"metrology": {"timeout_s": 8.0}}))
-    with files.sim.open("a") as sim:
-        sim.write("\n[loader.faults]\n")
-    options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "1"]
-    with simulated_cell(files.sim, options, files.out / "sim.stderr"):
-        for name, part in (("one", "P-1"), ("two", "P-2")):
-            job = files.out / f"{name}.toml"
-            job.write_text(f'[job]\nid = "{name}"\ntolerance_nm = 45.0\nmax_cycles = 3\n[part]\nid = "{part}"\n')
-            added = polishd("queue", "add", files.cell, job)
-            assert added.returncode == 0, added.stderr
-        with Daemon(files, "--queue", "--until-empty") as daemon:
-            assert daemon.process.wait(8 * SOON_S) == 0, daemon.output.read_text()
-        assert {name: job["state"] for name, job in queue(files).items()} == {"one": "accepted", "two": "accepted"}
-        assert len(events(files, "initialized")) >= 2, "a part takes a pass at least"
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(6 * SOON_S)
-def test_the_example_is_rehearsed_to_its_tolerance(tmp_path: Path) -> None:
-    """In real time: a pass takes two and a half minutes. On a busy computer all devices are silent at times."""
-    cell = Path(shutil.copytree(EXAMPLES / "fanuc_rmi", tmp_path / "fanuc_rmi")) / "cell.toml"
-    cell.write_text(with_keys(cell.read_text(), PATIENT))
-    forged(Path(shutil.copy(EXAMPLES / "instrument.toml", tmp_path)))
-    with rehearsed(cell) as files:
-        with Daemon(files, "--no-hold") as daemon:
-            assert daemon.process.wait(4 * SOON_S) == 0, daemon.output.read_text()
-        require_safe_order(events(files))
-    assert summary(files)["outcome"] == "in_tolerance"
