@@ -34,7 +34,7 @@ def rapid_move(number: int) -> bytes:
 
 
 class FakeAbb:
-    """One controller. Time passes by a task of its own, from ``start`` to ``close``."""
+    """One controller. Time passes in a separate task, from ``start`` to ``close``."""
 
     def __init__(self, folder: Path, version: Version = "1.0", *, speed: float = 1.0, has_watch: bool = True) -> None:
         limits = Limits(1000.0, 0.001, 30.0, 100.0, 100.0, speed)
@@ -124,7 +124,7 @@ class FakeAbb:
                 plain = data if tls is None else tls.feed(data)
                 if plain and not await peer.receive(plain):
                     break
-        except ConnectionError:
+        except ConnectionError:  # the client closed the connection amid an answer
             pass
         finally:
             peer.closed()

@@ -87,7 +87,7 @@ class TlsLayer:
                 self._is_ready = True
             while part := self._tls.read(1 << 16):
                 plain += part
-        except ssl.SSLWantReadError:
+        except ssl.SSLWantReadError:  # no more for now: the rest of the record is still to come
             pass
         self._flush()
         return plain

@@ -73,19 +73,19 @@ def finding(name: str, files: DemoFiles, config: CellConfig) -> Finding:
     summaries = [files.run_dir / "summary.json", *files.state_dir.glob("runs/*/summary.json")]
     written = [path for path in summaries if path.exists()]
     assert written, files.daemon_log.read_text()
-    told, maps = json.loads(written[-1].read_text()), events(files, "measured")
-    rms = [cycle["rms_nm"] for cycle in told["cycles"]]
+    found, maps = json.loads(written[-1].read_text()), events(files, "measured")
+    rms = [cycle["rms_nm"] for cycle in found["cycles"]]
     return Finding(
         name,
         str(config.devices[config.used["robot"]].type),
         config.program.format,
-        str(told["outcome"]),
+        str(found["outcome"]),
         max(len(rms) - 1, 0),
         rms[0] if rms else None,
         rms[-1] if rms else None,
         maps[-1]["true_rms_nm"] if maps else None,
-        sum(told["phase_times_s"].values()),
-        str(told["reason"]),
+        sum(found["phase_times_s"].values()),
+        str(found["reason"]),
     )
 
 

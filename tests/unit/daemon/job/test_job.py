@@ -178,7 +178,7 @@ async def test_executed_time_lies_at_the_points_that_had_it(job: Job) -> None:
 async def test_new_times_that_bring_new_lines_are_counted_by_the_lines_that_ran(
     tmp_path: Path, journal: Journal
 ) -> None:
-    """VAL3 states a speed on a line of its own: the plan has more lines than the program that it was made of."""
+    """VAL3 states a speed on a separate line: the plan has more lines than the program that it was made of."""
     form, path = format_of(dialect("val3")), small_program()
     points, axis = np.vstack([path.start_mm[:1], path.end_mm]), np.vstack([path.axis[:1], path.axis])
     assert form.make is not None

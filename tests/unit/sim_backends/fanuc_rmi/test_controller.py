@@ -16,7 +16,7 @@ CONFIGURATION = {"UToolNumber": 1, "UFrameNumber": 0, "Front": 1, "Up": 1, "Left
 
 
 class Client:
-    """A session with a clock of its own."""
+    """A session with a separate clock."""
 
     def __init__(self, **limits: Any) -> None:
         self.said = list[dict[str, Any]]()
