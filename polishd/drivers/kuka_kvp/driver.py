@@ -69,6 +69,8 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
         self._beat = secrets.randbelow(BEATS)
         self.ticks = False
         """The watchdog's clock has advanced since the connection was opened."""
+        self.cycles = 0
+        """Cycles of the watchdog that were seen, by its clock."""
         self._changed_s = self._beaten_s = 0.0
         self._block = self._token = 0
         """Of the last sample, of this connection or an earlier one."""
@@ -120,6 +122,7 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
             raise LinkError(f"{self.name}: the controller or its watchdog has restarted")
         if last.time_s != sample.time_s:
             self.ticks, self._changed_s = True, time.monotonic()
+            self.cycles += 1
 
 
 # The robot.
@@ -128,6 +131,8 @@ ANSWER_S = 2.0
 """Longest wait for the answer to a command."""
 CYCLE_S = 0.02
 """Resolution of the begin of a block: cycle of the submit interpreter."""
+CYCLES_TO_SETTLE = 3
+"""Cycles of the watchdog after standstill: the one under way, a whole one, and one more sample."""
 
 
 class KukaRobot(ProgramRobot[KrlProgramTracker]):
@@ -190,6 +195,9 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         if self._link.last.plays:
             await self._brake()
         await self._link.standstill("hold", self._times.stop_s)
+        # The block at which it stands is reported by the watchdog's next whole cycle, and recorded one sample later.
+        cycles = self._link.cycles + CYCLES_TO_SETTLE
+        await self._link.until(lambda: self._link.cycles >= cycles, self._times.silence_s)
 
     async def _clear(self) -> None:
         await self._link.until(lambda: self._link.ticks or not self._link.last.is_watched)
