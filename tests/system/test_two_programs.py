@@ -48,6 +48,7 @@ def require_undisturbed(files: DemoFiles, daemon: Daemon, before: int) -> None:
     assert client.request(files.state_dir, "status", 5.0)["state"] == "polishing"
 
 
+@pytest.mark.full
 def test_probe_with_a_copy_of_the_cell_leaves_a_pass_alone(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", seed=2, speed=4.0, tolerance_nm=0.01, max_cycles=3) as files:
         copy = copied(files)

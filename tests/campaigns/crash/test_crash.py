@@ -36,6 +36,7 @@ def test_a_recording_without_a_crash_is_what_was_written(tmp_path: Path) -> None
     assert len(disk.seen()) > 3, "the journal, and arrays"
 
 
+@pytest.mark.full
 @needs_strace
 def test_no_crash_loses_or_repeats_anything(tmp_path: Path) -> None:
     tried = round_of(recorded(tmp_path), range(2), 1)

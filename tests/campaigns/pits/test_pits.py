@@ -82,6 +82,7 @@ def test_the_table_says_how_measured_and_bound_relate_and_what_is_not_as_require
     assert line in table
 
 
+@pytest.mark.full
 def test_a_sitting_of_no_time_measures_nothing_and_prints_no_row() -> None:
     before = PAGE.read_text()
     command = [sys.executable, "-m", "tests.campaigns.pits", "--minutes", "0", "--json"]

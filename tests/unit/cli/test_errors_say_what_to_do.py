@@ -108,6 +108,7 @@ def require_advice(said: Said) -> None:
     assert any(map(TO_DO.search, ends)), text
 
 
+@pytest.mark.one_of_each("command")
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("command", FILE_COMMANDS)
 def test_a_file_that_cannot_be_used(

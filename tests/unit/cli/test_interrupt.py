@@ -71,6 +71,7 @@ def test_in_the_imports(tmp_path: Path, number: int) -> None:
     assert (ended.returncode, ended.stdout) == (130, "")
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("place", ["", "destructor"])
 def test_at_work(tmp_path: Path, place: str) -> None:
     """Python ignores, with a traceback, what is raised in a destructor."""

@@ -26,6 +26,7 @@ def test_it_is_written_anew_with_the_command_line() -> None:
     assert man.PAGE.read_text(encoding="utf-8") == man.page(), "make reference"
 
 
+@pytest.mark.full
 def test_the_page_of_the_site_is_written_anew_with_the_command_line() -> None:
     assert cli.PAGE.read_text(encoding="utf-8") == cli.page(), "make reference"
     assert all(f"\n## {name}\n" in cli.page() for name in verbs(typer.main.get_command(app)))

@@ -213,6 +213,7 @@ ELSEWHERE = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("check", [one for some in VERBS.values() for one in some], ids=lambda one: one.__name__)
 def test_the_profile_is_applied(desk: Desk, by: str, check: Callable[..., None]) -> None:
     check(desk, *option(desk, by))

@@ -27,6 +27,7 @@ def files(tmp_path: Path, heights: list[FloatArray]) -> list[Path]:
     return [dat(tmp_path / f"p{number}.dat", height, PITCH_MM) for number, height in enumerate(heights)]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "ending", [".dat", pytest.param(".datx", marks=pytest.mark.full), pytest.param(".x3p", marks=pytest.mark.full)]
 )

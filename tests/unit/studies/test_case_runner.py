@@ -67,6 +67,7 @@ def timeless(found: LoopRows) -> list[object]:
     return [replace(run, cpu_s=0.0) for run in found.runs]
 
 
+@pytest.mark.full
 def test_a_job_comes_into_tolerance_and_the_part_itself_too(tmp_path: Path) -> None:
     (row,) = looped(study_file(tmp_path, near=-0.1), 1).rows
     assert (row.scenario, row.loop, row.runs, row.accepted, row.false_accepts) == ("near", "exact", 1, 1, 0)

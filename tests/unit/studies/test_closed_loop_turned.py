@@ -55,6 +55,7 @@ def test_the_instruments_astigmatism_is_measured_and_subtracted(plant: PlantProc
     assert rms_nm(left - np.mean(left[inside])) < 0.5, "its noise, and a little of the map's"
 
 
+@pytest.mark.full
 def test_what_turns_with_the_part_is_the_parts_as_its_mount_holds_it(plant: PlantProcess) -> None:
     drawn(plant, mount_nm=3.0, mount_turns=True)
     recipe = with_absolute_test(small_recipe(), plant, POSES)

@@ -110,6 +110,7 @@ def worked(folder: Path, some: list[Case], workers: int = 2, within_s: float = 6
         return {done.case.number: done for done in work(folder / "study.toml", some, pool, within_s)}
 
 
+@pytest.mark.full
 def test_all_cases_come_each_once(tmp_path: Path) -> None:
     found = worked(tmp_path, cases(*[""] * 200))
     assert sorted(found) == list(range(200))
@@ -162,6 +163,7 @@ def test_a_lack_of_workers_is_reported_once_and_waited_for(tmp_path: Path, monke
     assert lonely.said == ["no worker at x; the study waits", "a worker is there; the study continues"]
 
 
+@pytest.mark.full
 def test_one_that_is_slow_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "LOOK_S", 0.05)
     said: list[str] = []
@@ -188,6 +190,7 @@ def test_a_worker_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pyte
         worked(tmp_path, cases(""))
 
 
+@pytest.mark.full
 def test_leaving_in_the_middle_leaves_no_process(tmp_path: Path) -> None:
     pool = LocalPool(2)
     with pool:

@@ -64,6 +64,7 @@ def demo(tmp_path: Path) -> Path:
     return write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("module", "extra", "words"),
     [
@@ -111,6 +112,7 @@ for name in {modules!r}:
 """
 
 
+@pytest.mark.full
 def test_without_any_extra_a_pass_is_planned_with_the_same_figures(tmp_path: Path) -> None:
     """In a process of its own, from the map to the rewritten program and the report."""
     cell = demo(tmp_path)

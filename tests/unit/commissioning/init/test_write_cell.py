@@ -109,6 +109,7 @@ def test_a_dialog_without_input_says_how_to_give_answers_and_writes_nothing(tmp_
     assert not (tmp_path / "cell").exists()
 
 
+@pytest.mark.full
 def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
     init(tmp_path, LENS)
     cell = tmp_path / "cell" / "cell.toml"
@@ -179,6 +180,7 @@ rotation_rpy_deg = [180.0, 0.0, 0.0]
 """
 
 
+@pytest.mark.full
 def test_an_arm_of_ones_own_is_asked_for_no_stiffness_and_gets_none_of_another_arm(tmp_path: Path) -> None:
     shown = init(tmp_path, OWN_ROWS)
     assert shown["fill_in"] == []
@@ -282,6 +284,7 @@ def test_a_map_without_a_scale_is_given_a_pitch(tmp_path: Path) -> None:
     assert load_profile(tmp_path / "cell" / "instrument.toml").instrument.pitch_mm == 0.5
 
 
+@pytest.mark.full
 def test_a_part_whose_assumed_place_is_out_of_reach_lies_where_the_robot_reaches_it(tmp_path: Path) -> None:
     """The paper's robot does not reach 300 mm at the place that is assumed for smaller parts."""
     for answers in ("[part]\naperture_mm = 300.0\n", '[kinematics]\narm = "ur16e"\n[part]\naperture_mm = 300.0\n'):
@@ -313,6 +316,7 @@ def test_a_large_part_becomes_a_cell_whose_plan_takes_the_program(tmp_path: Path
     assert precheck.precheck_plan(recipe, steps.read_program(recipe, config.program_path), hooks.check_plan) == []
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("answers", "said"),
     [

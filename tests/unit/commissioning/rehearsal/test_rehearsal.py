@@ -447,6 +447,7 @@ def test_folders_of_the_simulator_are_the_rehearsals_own(tmp_path: Path) -> None
         CliRunner().invoke(app, ["rehearse", str(tmp_path / "cell.toml"), "--state", "x"], catch_exceptions=False)
 
 
+@pytest.mark.full
 def test_a_fanuc_controller_is_the_simulated_one_in_real_time(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(EXAMPLES / "fanuc_rmi", tmp_path / "fanuc_rmi"))
     shutil.copy(EXAMPLES / "instrument.toml", tmp_path)
@@ -458,6 +459,7 @@ def test_a_fanuc_controller_is_the_simulated_one_in_real_time(tmp_path: Path) ->
     assert config.robot.z_mm[1] >= 60.0
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("maker", "profile"), [("yaskawa", "yaskawa-inform"), ("staubli", "staubli-val3")])
 def test_a_cell_with_programs_in_its_robots_language_is_rehearsed_in_it(
     tmp_path: Path, maker: str, profile: str

@@ -317,6 +317,7 @@ def _too_much() -> None:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
+@pytest.mark.full
 async def test_a_worker_without_memory_is_an_error_and_stays(compute: Compute) -> None:
     with pytest.raises(ComputeError, match=r"_too_much failed: \S*MemoryError: Unable to allocate 2\.00 GiB"):
         await compute(_too_much)

@@ -73,6 +73,7 @@ def test_one_that_was_removed_is_named(site: Path) -> None:
         require_same(before, installed_now())
 
 
+@pytest.mark.full
 async def test_a_worker_that_starts_again_proves_its_versions(site: Path) -> None:
     async with Compute() as compute:
         pid = await compute(os.getpid)

@@ -91,6 +91,7 @@ async def test_a_stop_by_another_client_is_seen(tmp_path: Path) -> None:
             await executed(robot, 60)
 
 
+@pytest.mark.full
 async def test_the_speed_ratio_is_read_and_refused_below_100(tmp_path: Path) -> None:
     async with robot_at(tmp_path) as (robot, fake):
         await run(robot)
@@ -177,6 +178,7 @@ async def test_a_wrong_password_is_refused(tmp_path: Path) -> None:
     await fake.close()
 
 
+@pytest.mark.full
 async def test_a_reopened_link_follows_the_program_that_still_runs(tmp_path: Path) -> None:
     async with robot_at(tmp_path) as (robot, _):
         await run(robot)
@@ -186,6 +188,7 @@ async def test_a_reopened_link_follows_the_program_that_still_runs(tmp_path: Pat
         assert len(await executed(robot, 60)) == 60
 
 
+@pytest.mark.full
 async def test_blocks_last_as_long_as_the_program_says_and_a_hold_counts_for_none(tmp_path: Path) -> None:
     async with robot_at(tmp_path) as (robot, fake):
         await run(robot, 40)

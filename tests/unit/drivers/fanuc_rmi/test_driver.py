@@ -132,6 +132,7 @@ async def test_hold_pauses_within_a_wait_and_goes_on_with_its_rest(fake: FakeFan
     assert len(await executed(robot)) == len(plan.segments)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("button", "said"),
     [

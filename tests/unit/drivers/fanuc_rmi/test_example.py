@@ -42,6 +42,7 @@ def witness(cell: Path) -> Path:
     return cell
 
 
+@pytest.mark.full
 def test_a_first_touch_is_timed_moves_that_keep_to_the_least_time_of_a_point(witness: Path) -> None:
     touch = witness.parent / "touch"
     command = ["calibrate", "first-touch", str(witness), "--out", str(touch), "--part", "W-1"]

@@ -175,6 +175,7 @@ async def test_a_share_that_cannot_be_written_is_refused(fake: FakeKuka) -> None
         await robot.close()
 
 
+@pytest.mark.full
 async def test_a_lost_link_stops_the_motion_by_the_controllers_watchdog(fake: FakeKuka) -> None:
     robot = kuka_robot(fake, replace(TIMES, watchdog_s=3.0))
     await robot.open()

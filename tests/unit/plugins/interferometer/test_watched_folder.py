@@ -384,6 +384,7 @@ async def test_cancelling_leaves_nothing(make: Callable[..., WatchedFolder], fol
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.full
 async def test_many_writers_none_torn_lost_or_taken_twice(make: Callable[..., WatchedFolder], folder: Path) -> None:
     device = make(stable_s=0.1)
     contents = {seed: dat(seed, n=10 + seed) for seed in range(12)}

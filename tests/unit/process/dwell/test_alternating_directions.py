@@ -57,6 +57,7 @@ def agree(asked: DwellProblem, solver: str = alternating_directions.NAME) -> Non
     assert (found.time_s <= asked.upper_s).all()
 
 
+@pytest.mark.full
 def test_it_finds_what_projected_newton_finds() -> None:
     asked = problem()
     agree(asked)

@@ -57,6 +57,7 @@ def least(problem: DwellProblem) -> float:
     return 2 * float(found.cost)
 
 
+@pytest.mark.full
 @settings(max_examples=300, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

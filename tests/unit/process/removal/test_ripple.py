@@ -123,6 +123,7 @@ CASES = [
 ]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("lines", CASES, ids=lambda one: f"{one.pitch_mm}-{one.angle_deg}-{one.azimuth_deg}")
 def test_the_lines_of_a_raster_are_those_of_a_direct_sum(lines: Lines) -> None:
     blocks, time_s = lines.blocks()
@@ -159,6 +160,7 @@ def test_an_uncertain_radius_counts_the_more_the_nearer_the_distance_is_to_a_nul
     assert forecast(Lines(0.967), radius_error=0.0).rms_high_nm == pytest.approx(null.rms_nm)
 
 
+@pytest.mark.full
 def test_lines_that_a_cell_averages_away_are_not_on_the_grid() -> None:
     ripple = forecast(Lines(0.5))
     assert ripple.lines[0].on_grid < 1e-6
@@ -174,6 +176,7 @@ def test_a_map_shows_what_its_samples_resolve() -> None:
     assert ripple.shown_nm(None, high=True) > ripple.shown_nm(0.1, high=True) > ripple.shown_nm(0.5, high=True)
 
 
+@pytest.mark.full
 def test_a_spiral_has_the_ripple_of_a_raster_of_its_pitch() -> None:
     pitch, turns = 1.5, 13
     angle = np.sqrt(np.arange(1, 20_000) / 19_999.0) * 2 * np.pi * turns
@@ -235,6 +238,7 @@ def test_an_error_of_the_radius_that_cannot_be_is_refused(wrong: float) -> None:
 # The line distance with the least ripple.
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("azimuth_deg", [0.0, 40.0, 90.0])
 def test_the_share_of_straight_lines_is_that_of_their_sum(azimuth_deg: float) -> None:
     pitch = np.array([0.972, 1.2, 2.0])

@@ -315,6 +315,7 @@ def test_a_robot_that_is_none_is_refused() -> None:
         fit_stiffness(dataclasses.replace(HYBRID, up_bending_n_mm2=-4.4), GOOD)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("level", [0.02, 60.0])
 def test_an_invented_level_to_start_from_changes_no_stiffness_that_the_tests_determine(level: float) -> None:
     """Cells are begun with an arm that is nearly rigid: what its stiffnesses were then must not show."""

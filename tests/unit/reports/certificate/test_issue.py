@@ -46,6 +46,7 @@ def squeezed(text: str) -> str:
 # the PDF
 
 
+@pytest.mark.full
 def test_every_page_says_of_which_certificate_it_is(certified: Made) -> None:
     twin = json.loads(certified.twin.read_text())
     pages = text_of(certified.pdf).rstrip("\f\n").split("\f")

@@ -189,6 +189,7 @@ def _both(seed: int) -> tuple[BoolArray, BoolArray]:
     return reachable(cell.robot, cell.tip_mm, cell.axis), reached(cell.robot, cell.tip_mm, cell.axis)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("seed", [2, 7, 8, 36, 64])
 def test_controller_and_plant_reach_the_same_poses_of_a_random_arm(seed: int) -> None:
     theirs, ours = _both(seed)

@@ -109,6 +109,7 @@ def test_legs_follow_each_other_and_cover_the_path(chain: list[tuple[float, floa
     assert np.abs(np.diff(moved[:, 3])).max(initial=0.0) < 0.6
 
 
+@pytest.mark.full
 @given(LENGTHS, st.data())
 def test_it_stops_before_the_commanded_block(chain: list[tuple[float, float]], data: st.DataObject) -> None:
     until = data.draw(st.integers(1, len(chain)))

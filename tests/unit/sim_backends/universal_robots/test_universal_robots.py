@@ -241,6 +241,7 @@ def test_orientations_mean_the_plants_a_and_c(wrist: tuple[float, float]) -> Non
 LONG = "def t():\n" + "\n".join(f"  movel({pose(k % 100)}, a=1, v=0.1)" for k in range(2000)) + "\nend"
 
 
+@pytest.mark.full
 def test_a_long_script_is_read_a_few_statements_at_a_turn() -> None:
     found, turns = machine(), 0
     for _ in found.loading(LONG):
