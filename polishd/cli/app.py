@@ -108,14 +108,23 @@ def tif(
 @offline_app.command()
 def compliance(
     cell: Cell,
+    *,
     program: Annotated[Path | None, Option(metavar="P.rnc", help="Show it along this program, too")] = None,
+    place: Annotated[bool, Option("--place", help="Search where gamma changes least over the part")] = False,
+    within: Annotated[float, Option(metavar="MM", help="Distance to search within, with --place")] = 200.0,
+    removal: Annotated[float, Option(metavar="NM", help="Mean removal of the errors, with --place")] = 100.0,
     out: Picture = None,
     as_json: Json = False,
 ) -> None:
     """Show the robot's equivalent compliance over the workspace and along a program, and its gamma."""
-    from polishd.cli.tif import compliance_verb
+    from polishd.cli.tif import compliance_verb, placement_verb
 
-    compliance_verb(cell, program, out, as_json=as_json)
+    if not place:
+        compliance_verb(cell, program, out, as_json=as_json)
+    elif program is not None:
+        raise typer.BadParameter("--place searches the part's place without a program: use one of the two")
+    else:
+        placement_verb(cell, within, removal, out, as_json=as_json)
 
 
 app = typer.Typer(

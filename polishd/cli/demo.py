@@ -30,7 +30,7 @@ from polishd.model.errors import LinkError, PolishdError
 from polishd.rendering.terminal import outcome_tables, say, stderr, stdout
 from polishd.util.files import require_new, require_writable
 
-START_S = 60.0
+START_S = 150.0
 STOP_S = 30.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from matplotlib.axes import Axes
 from rich.table import Table
 
 from polishd.config.cell import CellConfig, load_config
+from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.pipeline import steps
 from polishd.pipeline.build_recipe import make_recipe
@@ -18,6 +20,7 @@ from polishd.plugin_loader import load_cell
 from polishd.process.removal.contact import hertz_depth_mm
 from polishd.process.removal.measured_tif import SpotFigures, map_nm_s, measured_figures, spot_figures
 from polishd.process.robot.compliance import ComplianceField, compliance_field, depth_ratio, path_compliance
+from polishd.process.robot.placement import PlacementSearch, PlacementTask, placement_fragment, search_placement
 from polishd.rendering.map_plots import color_bar, profiles, value_map
 from polishd.rendering.plots import BLUE, ORANGE, figure, png, polishd_style, save_picture
 from polishd.rendering.terminal import emit, key_table
@@ -198,3 +201,90 @@ def _words(known: Mapping[str, float | None]) -> str:
     if known["mean"] is None:
         return "none"
     return f"{known['min']:.3f} to {known['max']:.3f}, mean {known['mean']:.3f}"
+
+
+# ``polishd compliance --place``: where the part lies best.
+
+SHOWN = 3
+
+
+def placement_verb(cell: Path, within_mm: float, removal_nm: float, out: Path | None, *, as_json: bool) -> None:
+    """Search the place of the part at which gamma changes least over it, and say what that is worth."""
+    config, _ = load_cell(cell)
+    task = PlacementTask(
+        robot=config.robot_model(),
+        process=config.tool_process(),
+        placement=config.placement(),
+        options=config.compliance_options(),
+        outline=config.outline(),
+        alignment=config.part.alignment,
+        optic=config.optic(),
+        removal_nm=removal_nm,
+    )
+    found = search_placement(task, within_mm)
+    if not found.reached:
+        raise ComputeError(
+            f"the robot reaches the part at none of {found.refused} places within {within_mm:g} mm, with "
+            f"{task.margins.around_mm:g} mm around it. To do: move part.origin_mm, or search --within more"
+        )
+    if out is not None:
+        save_picture(out, placement_picture(found))
+    best = found.reached[0]
+    fragment = placement_fragment(best, task.placement, task.robot)
+    answer = {
+        "present": None if found.present is None else asdict(found.present),
+        "best": [asdict(one) for one in found.reached[:SHOWN]],
+        "gain_nm": found.gain_nm,
+        "removal_nm": removal_nm,
+        "tried": len(found.reached) + found.refused,
+        "refused": found.refused,
+        "toml": fragment,
+    }
+    emit(
+        answer,
+        as_json=as_json,
+        table=lambda: _placement_table(config, found),
+        lines=[*_gain_lines(found), "", *fragment.splitlines(), *_written(out)],
+    )
+
+
+def _placement_table(config: CellConfig, found: PlacementSearch) -> Table:
+    table = Table(title=f"{config.cell.name}: where gamma changes least over the part")
+    for head in ("place", "origin, mm", "part's turn", "flange's turn", "gamma, mean", "its range", "error, nm"):
+        table.add_column(head, justify="left" if head == "place" else "right")
+    rows = [("now", found.present), *((f"{k}.", one) for k, one in enumerate(found.reached[:SHOWN], 1))]
+    for name, one in rows:
+        if one is None:
+            table.add_row(name, "out of reach with the margins", *[""] * 5)
+            continue
+        origin = ", ".join(f"{v:.6g}" for v in one.origin_mm)
+        turns = f"{one.turn_deg:g} deg", f"{one.flange_turn_deg:g} deg"
+        table.add_row(name, origin, *turns, f"{one.gamma_mean:.4f}", f"{one.gamma_range:.5f}", f"{one.error_nm:.4f}")
+    return table
+
+
+def _gain_lines(found: PlacementSearch) -> list[str]:
+    said = f"error: RMS that {found.removal_nm:g} nm mean removal without correction leaves of gamma's change"
+    if found.gain_nm is None:
+        return [said]
+    return [said, f"the best place is worth {found.gain_nm:.4f} nm; with process.correction on, less than that"]
+
+
+def placement_picture(found: PlacementSearch) -> bytes:
+    """PNG: the places that keep the margins, seen from above, coloured by their error; the least lies on top."""
+    with polishd_style():
+        page = figure(5.6, 4.4)
+        axes = page.subplots()
+        x, y, _ = np.array([one.origin_mm for one in found.reached]).T
+        error = np.array([one.error_nm for one in found.reached])
+        order = np.argsort(-error)
+        shown = axes.scatter(x[order], y[order], c=error[order], s=36, cmap="viridis")
+        best = found.reached[0]
+        axes.plot(*best.origin_mm[:2], "s", mfc="none", color=ORANGE, ms=12, label="best")
+        if found.present is not None:
+            axes.plot(*found.present.origin_mm[:2], "o", mfc="none", color=BLUE, ms=12, label="now")
+        axes.set(title="places of the part, from above (the least error of each)", xlabel="x, mm", ylabel="y, mm")
+        axes.set_aspect("equal", "datalim")
+        axes.legend(loc="upper right")
+        page.colorbar(shown, label="error, nm")
+        return png(page)

@@ -29,7 +29,7 @@ from polishd.sim_backends.common.runtime import (
 
 DEVICES = ("robot", "actuator", "spindle", "interferometer", "loader", "force_sensor", "monitor")
 """Sections of SIM.toml that are a process each, in the order in which they start."""
-READY_S = 30.0
+READY_S = 120.0
 END_S = 5.0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -62,7 +62,10 @@ class Cell:
         self.process = self._start()
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
-        assert line.startswith("READY "), f"the simulator said {line!r}"
+        if not line.startswith("READY "):
+            self.process.kill()
+            self.process.communicate()
+            raise AssertionError(f"the simulator said {line!r}")
         self.endpoints: dict[str, Any] = json.loads(line[6:])
         self.booted: list[subprocess.Popen[str]] = []
         self.clients: list[RobotClient | CoilClient | SlcanClient] = []

@@ -503,7 +503,7 @@ def compliance_field(
         can = inside & _has_lean(options, tip)
         normal = np.repeat(frames.surface_normals(placement, np.zeros((1, 3))), len(tip), axis=0)
         axis = np.zeros_like(tip)
-        axis[can] = frames.dipped_axes(_without_path(options), placement, tip[can], normal[can], process.dip_deg)
+        axis[can] = frames.dipped_axes(without_path(options), placement, tip[can], normal[can], process.dip_deg)
         can[can] = reachable(robot, tip[can], axis[can])
         matrix = tip_compliance_mm_per_n(robot, tip[can], axis[can], moment=options.moment)
         complex_ones = complex_eigenvalues(matrix) if options.moment == "paper" else np.zeros(len(matrix), np.bool_)
@@ -545,6 +545,7 @@ def _has_lean(options: ComplianceOptions, tip_mm: FloatArray) -> np.ndarray:
     return np.asarray((options.dip_direction != "inward") | (np.hypot(tip_mm[:, 0], tip_mm[:, 1]) > 1e-6))
 
 
-def _without_path(options: ComplianceOptions) -> ComplianceOptions:
+def without_path(options: ComplianceOptions) -> ComplianceOptions:
+    """Return the options where there is no path: along and across it mean along and across the part's x."""
     azimuth = {"along": 0.0, "across": 90.0}.get(options.dip_direction)
     return options if azimuth is None else ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=azimuth)

@@ -189,6 +189,17 @@ def serial_reachable(robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray) -
     return reach
 
 
+def posture_margins(robot: SerialRobot, joints_rad: FloatArray) -> tuple[float, float]:
+    """Least distance of a joint from its limits, deg, and least ratio of the Jacobian's singular values.
+
+    ``joints_rad`` (n, 6). Near-singular is a ratio below 1e-3.
+    """
+    low, high = np.asarray(robot.joint_limits_deg).T
+    angle = np.degrees(joints_rad)
+    ratio = _regular(chain(robot, joints_rad).twists / twist_scale(robot))
+    return float(np.minimum(angle - low, high - angle).min()), float(ratio.min())
+
+
 def serial_tip_compliance_mm_per_n(
     robot: SerialRobot, tip_mm: FloatArray, axis: FloatArray, *, path: bool = False
 ) -> FloatArray:

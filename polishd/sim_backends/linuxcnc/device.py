@@ -336,7 +336,7 @@ def _turn(point: Vector, about: int, degrees: float) -> Vector:
 TICK_S = 0.01
 TURN_S = 0.05
 """Time between two changes at the pendant: LinuxCNC's task takes each as a command."""
-START_S = 25.0
+START_S = 90.0
 ISOLATE = (
     *("setpriv", "--pdeathsig", "KILL", "unshare", "--map-root-user", "--mount", "--ipc", "--pid", "--fork"),
     *("--kill-child", "--mount-proc", "sh", "-c"),

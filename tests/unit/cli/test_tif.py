@@ -134,3 +134,32 @@ def test_what_cannot_be_is_refused_by_value_unit_and_point(
     assert (said.code, said.out) == (code, "")
     assert says in said.err
     assert said.err.startswith("polishd: ")
+
+
+def test_the_place_of_least_change_is_shown_written_and_found_again(polishd: Polishd, tmp_path: Path) -> None:
+    said = polishd("compliance", EXAMPLE, "--place", "--within", 100, "--out", tmp_path / "p.png", "--json").answer
+    best, present = said["best"][0], said["present"]
+    assert said["gain_nm"] == pytest.approx(present["error_nm"] - best["error_nm"])
+    assert best["error_nm"] <= present["error_nm"]
+    with Image.open(tmp_path / "p.png") as picture:
+        assert picture.size[0] > 400
+    origin = "origin_mm = [300.0, 220.0, 2315.0]"
+    assert origin in EXAMPLE.read_text()
+    moved = changed(tmp_path, (origin, f"origin_mm = {best['origin_mm']}"))
+    again = polishd("compliance", moved, "--place", "--within", 1, "--json").answer["present"]
+    assert again["error_nm"] == pytest.approx(best["error_nm"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--within", "0"), "the distance to search within is 0 mm"),
+        (("--removal", "-1"), "the mean removal is -1 nm"),
+        (("--program", "p.rnc"), "--place searches"),
+    ],
+)
+def test_a_search_that_cannot_be_is_refused(polishd: Polishd, words: tuple[str, str], says: str) -> None:
+    said = polishd("compliance", EXAMPLE, "--place", *words)
+    assert said.code != 0
+    assert says in said.err
+    assert said.out == ""
