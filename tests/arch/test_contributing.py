@@ -46,7 +46,7 @@ def test_a_change_touches_few_files_and_its_page_names_each(example: str) -> Non
 
 
 @pytest.mark.parametrize(
-    "example", [name if name == "map_format" else pytest.param(name, marks=pytest.mark.full) for name in EXAMPLES]
+    "example", [name if name == "config_key" else pytest.param(name, marks=pytest.mark.full) for name in EXAMPLES]
 )
 def test_the_patch_applies_and_its_test_passes(example: str, tmp_path: Path) -> None:
     copy = tmp_path / "tree"

@@ -113,6 +113,7 @@ async def campaign(
     return witness, plan, seen, bad.cuts
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("blocks", "disconnects"),
     [(2_000, 5), pytest.param(20_000, 50, marks=[pytest.mark.slow, pytest.mark.timeout(180)])],

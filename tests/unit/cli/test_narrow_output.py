@@ -157,6 +157,7 @@ def test_no_color_on_a_real_terminal(words: tuple[str, ...]) -> None:
     assert ESCAPE in on_a_terminal(*words), "with colors there are codes"
 
 
+@pytest.mark.full
 def test_columns_sets_the_width_of_a_pipe() -> None:
     def widest(**environment: str) -> int:
         command = [sys.executable, "-m", "polishd", "program", "dialects"]

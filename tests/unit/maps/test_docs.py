@@ -70,6 +70,7 @@ def test_what_the_page_shows_of_the_shared_maps(
     require_said(polishd, command, promised)
 
 
+@pytest.mark.full
 def test_commissioning_as_the_page_shows_it(polishd: Polishd, tmp_path: Path) -> None:
     """The simulated instrument's artefact proves the shipped profile, and not one that is turned."""
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("plugin"))

@@ -128,6 +128,7 @@ def test_a_case_that_raises_or_kills_its_worker_is_retried_once_and_reported(tmp
     assert all(found[number].answer.rows for number in (0, 2, 4, 5, 6, 7))
 
 
+@pytest.mark.full
 def test_what_hangs_is_killed_at_its_limit(tmp_path: Path) -> None:
     found = worked(tmp_path, cases("", "hangs", ""), workers=1, within_s=0.5)
     assert found[1].answer.error.startswith("the study worker exceeded its limit: ")
@@ -173,6 +174,7 @@ def test_one_that_is_slow_is_not_called_missing(tmp_path: Path, monkeypatch: pyt
     assert not said
 
 
+@pytest.mark.full
 def test_a_refusal_ends_the_study(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="files differ"):
         worked(tmp_path, cases("", "refuses", ""))

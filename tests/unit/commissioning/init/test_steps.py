@@ -85,6 +85,7 @@ def test_steps_are_done_as_their_files_appear_and_undone_as_they_go(cell: Path) 
     assert "program.rnc" in found["check"][1]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("outcomes", "done"),
     [

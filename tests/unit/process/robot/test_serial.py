@@ -189,6 +189,7 @@ def test_neighbours_on_a_path_stay_neighbours() -> None:
     np.testing.assert_allclose(joints[0], joints[-1], rtol=0, atol=1e-9)
 
 
+@pytest.mark.full
 def test_a_path_around_the_base_turns_on_where_single_poses_go_the_shorter_way() -> None:
     t = np.radians(np.linspace(0, 270, 200))
     tip = np.column_stack([-450 * np.cos(t), -450 * np.sin(t), np.full(200, 150.0)])

@@ -57,6 +57,7 @@ def test_every_page_says_of_which_certificate_it_is(certified: Made) -> None:
         assert foot.strip().endswith(f"page {number} of {len(pages)}")
 
 
+@pytest.mark.full
 def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
     twin, text = json.loads(certified.twin.read_text()), squeezed(text_of(certified.pdf))
     for said in ("A. Meyer", "Observatory", "Example Optics", twin["verdict"]["words"], twin["number"]):

@@ -196,6 +196,7 @@ def test_a_program_of_timed_moves_is_rewritten_in_place(name: str, encoding: Enc
     assert not verify(text, moved, language).identical_motion
 
 
+@pytest.mark.full
 @given(
     name=st.sampled_from(["rapid", "krl", "urscript", "heidenhain", "val3"]),
     wanted=st.lists(st.floats(0.05, 5.0), min_size=12, max_size=12),
