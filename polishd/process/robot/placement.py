@@ -33,6 +33,7 @@ from polishd.process.optic_surface import sag_mm, unit_normals
 from polishd.process.removal.contact import hertz_depth_mm, volume_rate_nm_mm2_s
 from polishd.process.robot.compliance import (
     complex_eigenvalues,
+    depth_ratio,
     equivalent_compliance,
     measured_compliance,
     measured_reachable,
@@ -51,7 +52,7 @@ ACROSS = 7
 STEPS = 5
 """Places along each axis in the first round."""
 ROUNDS = 3
-"""Rounds of search; each halves the distance of the places about the best ones."""
+"""Rounds of search; each after the first halves the distance of the places about the best ones."""
 KEPT = 3
 """Best candidates about which the next round searches."""
 ALIKE = 4
@@ -133,7 +134,7 @@ def search_placement(task: PlacementTask, within_mm: float = 200.0) -> Placement
     serial arm has a flange turn.
 
     Raises:
-        ComputeError: a length, removal or margin that cannot be.
+        ComputeError: a length or removal that cannot be.
     """
     require_number("the distance to search within", within_mm, "mm", above=0.0)
     require_number("the mean removal", task.removal_nm, "nm", above=0.0)
@@ -230,9 +231,9 @@ class _Samples:
         compliance = self._compliance(robot, tip, axis, normal)
         if compliance is None:
             return None
-        process = task.process
-        gamma = 1 - compliance * process.force_n / np.cos(np.radians(process.dip_deg)) / self._depth_mm
-        if not (gamma > 0).all():
+        try:
+            gamma = depth_ratio(compliance, task.process, self._depth_mm)
+        except ComputeError:  # the robot gives way by more than the depth
             return None
         figures = float(gamma.mean()), float(np.ptp(gamma)), self._error_nm(gamma)
         return PlacedPart(placement.origin_mm, place.turn_deg, place.flange_deg, *figures)
