@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare claims naming scenarios robustness robustness-dask lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -137,6 +137,9 @@ bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.js
 performance: $(VENV)/.installed ## write the results of make bench into docs/reference/results.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
 	@$(BIN)/python -m docs.reference.cost
+
+claims: $(VENV)/.installed ## list the figures of README and docs, fresh or stale; fails where a page differs (ARGS="--record CLAIM KEY=FIGURE")
+	@$(BIN)/python -m tests.campaigns.claims $(ARGS)
 
 COMPARED = --limit 24
 compare: $(VENV)/.installed ## compare the compliance corrections on parts of 100 and 300 mm (COMPARED="--limit N")
