@@ -11,7 +11,7 @@ import pytest
 from tests.campaigns import beside
 from tests.campaigns.claims import Claim, machine, read, record, section_hash, uncovered, write
 
-PAGE = "docs/explanation/speed.md"
+PAGE = "README.md"
 SPEED = Claim(
     "speed",
     PAGE,
@@ -29,7 +29,6 @@ def root(tmp_path: Path) -> Path:
     (tmp_path / "polishd/fast").mkdir(parents=True)
     (tmp_path / "polishd/fast/loop.py").write_text("FAST = True\n")
     (tmp_path / "docs/explanation").mkdir(parents=True)
-    (tmp_path / "README.md").write_text("# A project\n")
     (tmp_path / PAGE).write_text(
         "It takes 2.0 CPU s, the peer 5 s.\n\n<!-- written by make table -->\n| 1 |\n<!-- end of it -->\n"
     )
@@ -52,7 +51,7 @@ def test_a_figure_that_the_page_does_not_have_is_a_difference(root: Path) -> Non
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"page": "docs/none.md"}, "there is no docs/none.md"),
+        ({"page": "nowhere.md"}, "there is no nowhere.md"),
         ({"scope": ("polishd/fast/loop.py",)}, "scope polishd/fast/loop.py is no folder"),
         ({"figure": {"s": "2.0"}}, "'peer' of its text is no figure"),
         ({"text": ""}, "give either text or section"),
@@ -94,7 +93,7 @@ def test_an_unknown_claim_or_figure_is_refused(root: Path, name: str, figures: d
 
 
 def test_a_measured_figure_without_a_claim_is_named_with_its_line(root: Path) -> None:
-    (root / "README.md").write_text("# A project\n\n24 times as fast as the peer\n")
+    (root / PAGE).write_text("It takes 2.0 CPU s, the peer 5 s.\n\n24 times as fast as the peer\n")
     assert uncovered([SPEED], root) == [
         "README.md:3: a measured figure without a claim. Add it to docs/data/claims.jsonl."
     ]
