@@ -274,7 +274,8 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
             stderr.print(line, markup=False, highlight=False, soft_wrap=True)
     if answers is None:
         _require_new(folder, [ANSWERS], force=force)  # before anybody answers
-        stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
+        help_text = f"Press Enter to accept the value in [ ]. Type {LEFT_OUT} to leave the key out."
+        stderr.print(help_text, markup=False, highlight=False)
         given = ask_questions(folder, connected, load_own(), _prompt)
         if not dry_run:
             _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
