@@ -21,7 +21,7 @@ from polishd.web.routes import ROUTES, open_path
 FOLDER = Path(__file__).parent
 OPEN_ENDPOINTS = (
     ("POST", "/api/session", "sign in: a cookie for a token"),
-    ("GET", "/api/openapi.json", "what all this is, as OpenAPI"),
+    ("GET", "/api/openapi.json", "this API as an OpenAPI document"),
 )
 """Endpoints without a user; `ROUTES` has the others."""
 MARK = "<!-- Written by `make reference` from the code. -->"

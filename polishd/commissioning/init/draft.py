@@ -335,7 +335,7 @@ FILL_IN = "to be filled in, from the arm's data sheet; here that of another arm"
 WIDTH = 120
 COLUMN = 36
 """In which meanings begin, where a value leaves room."""
-LOOK = "# LOOK: "
+ASSUMED = "# TODO: assumed, check: "
 KINDS: Mapping[str, type[BaseModel]] = {"hybrid": HybridSection, "serial": SerialSection, "measured": MeasuredSection}
 ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 
@@ -343,8 +343,8 @@ ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 def cell_text(draft: CellDraft) -> str:
     """The cell's file."""
     lines = [
-        "# A polishd cell, made by polishd init. Relative paths start from this file's folder. LOOK: the next key was",
-        "# assumed; mend it, and take that line away. All keys, with unit, default and range: docs/reference/cell.md",
+        "# A polishd cell, made by polishd init. Relative paths start from this file's folder. TODO: the next key is",
+        "# assumed: correct it, remove the TODO line. All keys with unit, default and range: docs/reference/cell.md",
         *(f"{name} = {toml(value)}" for name, value in draft.raw.items() if not _is_section(value)),
     ]
     places = {name: place for place, name in enumerate(ORDER)}
@@ -372,7 +372,7 @@ def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[s
         blank = f"{name}.{key}" in draft.blank
         why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
-            yield f"{LOOK}{why}"
+            yield f"{ASSUMED}{why}"
         lines = _written(key, value, in_words(docs.get(key, "")))
         yield from (f"# {line}" if blank and not line.startswith("#") else line for line in lines)
 
