@@ -62,7 +62,7 @@ class CommandGroup(typer.core.TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """See TyperGroup. UsageError with the new name for a command that was renamed."""
         if args and args[0] not in self.commands:
-            group = " ".join(ctx.command_path.split()[1:])
+            group = _path(ctx)
             path = f"{group} {args[0]}".strip()
             for name in (" ".join([path, *args[1:2]]), path, group):
                 if (new := RENAMED_COMMANDS.get(name)) is not None:
@@ -90,6 +90,11 @@ class CommandGroup(typer.core.TyperGroup):
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """See TyperGroup."""
         _format_help(self, ctx, formatter)
+
+
+def _path(ctx: Any) -> str:
+    """Return the names of the groups below ``polishd``, which may itself be ``python -m polishd``."""
+    return "" if ctx.parent is None else f"{_path(ctx.parent)} {ctx.info_name}".strip()
 
 
 def _prepare(command: Any) -> None:

@@ -335,7 +335,7 @@ FILL_IN = "to be filled in, from the arm's data sheet; here that of another arm"
 WIDTH = 120
 COLUMN = 36
 """In which meanings begin, where a value leaves room."""
-ASSUMED = "# TODO: assumed, check: "
+ASSUMED_MARK = "# TODO: assumed, check: "
 KINDS: Mapping[str, type[BaseModel]] = {"hybrid": HybridSection, "serial": SerialSection, "measured": MeasuredSection}
 ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 
@@ -372,7 +372,7 @@ def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[s
         blank = f"{name}.{key}" in draft.blank
         why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
-            yield f"{ASSUMED}{why}"
+            yield f"{ASSUMED_MARK}{why}"
         lines = _written(key, value, in_words(docs.get(key, "")))
         yield from (f"# {line}" if blank and not line.startswith("#") else line for line in lines)
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from polishd.commissioning.init.draft import ASSUMED
+from polishd.commissioning.init.draft import ASSUMED_MARK
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.instrument_profile import load_profile
 from polishd.model.errors import ConfigError, PolishdError
@@ -61,7 +61,7 @@ def lines(found: Sequence[SetupStep]) -> list[str]:
 def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     cell = _quoted(file)
     runs = _summaries(config.state_dir / "runs", *([config.run_dir] if config.run_dir else []))
-    look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(ASSUMED)]
+    look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(ASSUMED_MARK)]
     lines = ", ".join(map(str, look))
     found = f"{len(look)} values, below the lines {lines}" if look else "nothing is marked as assumed"
     yield SetupStep("look at what was assumed", not look, found, f"$EDITOR {cell}")

@@ -37,7 +37,7 @@ LINES = (
     "plan CELL gone.dat --out p", "plan CELL text.dat --out p", "plan CELL text.dat --out folder",
     "tif CELL --depth-ratio -1", "tif CELL --out gone/x.png", "compliance CELL --program gone.rnc",
     "compliance CELL --program bad.rnc", "hil CELL --level contact", "hil CELL --simulate none",
-    "hil CELL --motion gone.rnc --level no-contact", "rehearse CELL --out bad.csv",
+    "hil CELL --motion gone.rnc --level no-contact", "rehearse CELL --out bad.csv", "rehearse CELL --spede 3",
     "service install gone.toml --user", "service show CELL --user --of opcua", "service show shop.toml --user --of web",
     # without a cell
     "init new --from gone.toml", "init new --from broken.toml", "init new --from empty.toml",
@@ -69,7 +69,7 @@ LINES = (
     "calibrate stiffness gone.csv", "calibrate stiffness bad.csv", "calibrate tif gone.dat text.dat --seconds 3",
     "calibrate exponent gone.csv", "calibrate exponent bad.csv", "calibrate first-touch CELL --out folder",
     "calibrate instrument CELL gone.dat --angles 0",
-    "map ragged.xyz", "sim demo/cell.toml",
+    "map ragged.xyz",
 )  # fmt: skip
 NEED_NO_INPUT = {"certificate schema", "device list", "device new", "program dialects", "sim"}
 """Commands that no bad input reaches here; ``sim`` reports from its own process."""
