@@ -234,7 +234,7 @@ def _array(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 # The verb ``polishd init``: answers, a cell in a folder, and what is still to be done.
 
 CELL = "cell.toml"
-LOOKED = "Looked at what is connected, and opened nothing:"
+LOOKED = "Connected devices (none was opened):"
 LEFT_OUT = "-"
 """Typed where an answer is left out."""
 NO_DIALOG = (
@@ -459,4 +459,4 @@ def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) ->
         return
     for line in lines(todo):
         stdout.print(line, markup=False, highlight=False, soft_wrap=True)
-    stdout.print(f"how far that is: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
+    stdout.print(f"show the steps again: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
