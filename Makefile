@@ -102,6 +102,7 @@ format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 
 reference: $(VENV)/.installed ## write docs/reference (config keys, ports, command line), JSON Schemas and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
+	@$(BIN)/python -m docs.reference.code_tables
 	@$(BIN)/python -m docs.reference.schemas
 	@$(BIN)/python -m docs.reference.man
 	@$(BIN)/python -m docs.reference.cli

@@ -728,7 +728,12 @@ def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
     if named is None:
         return raw, source, None
     if not isinstance(named, str):
-        raise ConfigError(source.error(("cell",), f"must be the name of a file, not {named!r}. Correct it."))
+        problem = (
+            f"this is a cell's file. Use polishd rehearse {path}"
+            if isinstance(named, dict)
+            else f"must be the name of a file, not {named!r}. Correct it."
+        )
+        raise ConfigError(source.error(("cell",), problem))
     cell = path.parent / Path(named).expanduser()
     try:
         toml_text(cell)

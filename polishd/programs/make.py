@@ -183,7 +183,7 @@ def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
     values = _numbers("--aperture", rest)
     if not count or len(values) != count:
         raise typer.BadParameter(
-            f"--aperture {options.aperture!r} is none of circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, "
+            f"--aperture {options.aperture!r} is not a shape. Use circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, "
             "hexagon:W, polygon:FILE, mask:MAP"
         )
     return make(*values)
@@ -197,7 +197,7 @@ def _optic(options: MakeOptions, config: CellConfig | None) -> Optic:
         most = {"flat": 0, "sphere": 1, "conic": 2, "asphere": len(values)}.get(name, -1)
         if len(values) != most or (name == "asphere" and len(values) < 3):
             raise typer.BadParameter(
-                f"--optic {options.optic!r} is none of flat, sphere:R, conic:R,K, asphere:R,K,A4,A6,..."
+                f"--optic {options.optic!r} is not a surface. Use flat, sphere:R, conic:R,K, asphere:R,K,A4,A6,..."
             )
         radius, conic, *even = [*values, 0.0, 0.0][: max(len(values), 2)]
         nominal = Optic(radius if values else None, conic, tuple(even))

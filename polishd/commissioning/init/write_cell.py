@@ -234,7 +234,7 @@ def _array(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 # The verb ``polishd init``: answers, a cell in a folder, and what is still to be done.
 
 CELL = "cell.toml"
-LOOKED = "Looked at what is connected, and opened nothing:"
+LOOKED = "Connected devices (none was opened):"
 LEFT_OUT = "-"
 """Typed where an answer is left out."""
 NO_DIALOG = (
@@ -274,7 +274,8 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
             stderr.print(line, markup=False, highlight=False, soft_wrap=True)
     if answers is None:
         _require_new(folder, [ANSWERS], force=force)  # before anybody answers
-        stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
+        help_text = f"Press Enter to accept the value in [ ]. Type {LEFT_OUT} to leave the key out."
+        stderr.print(help_text, markup=False, highlight=False)
         given = ask_questions(folder, connected, load_own(), _prompt)
         if not dry_run:
             _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
@@ -458,4 +459,4 @@ def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) ->
         return
     for line in lines(todo):
         stdout.print(line, markup=False, highlight=False, soft_wrap=True)
-    stdout.print(f"how far that is: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
+    stdout.print(f"show the steps again: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
