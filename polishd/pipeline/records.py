@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -426,6 +426,15 @@ class PlanResult:
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         rest["tool"] = facts.get("tool", "")
         return record_of(cls, {}, {**arrays, **rest, "believed": EstimatesInUse.load(facts, initial)})
+
+
+def made_ripple(passes: Iterable[Mapping[str, Any]]) -> Ripple:
+    """Return the ripple of passes that were made, from their facts; an interrupted pass counts as a whole one."""
+    ripple = NO_RIPPLE
+    for facts in passes:
+        expected = facts.get("forecast")
+        ripple = ripple if expected is None else ripple.plus(record_of(Forecast, expected).ripple)
+    return ripple
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:

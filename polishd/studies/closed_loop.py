@@ -51,6 +51,7 @@ from polishd.process.metrology.instrument import apply_profile
 from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.measured_tif import tif_from_maps, volume_mm3_min
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple
 from polishd.process.robot import motion
 from polishd.programs.make import own_program
 from polishd.studies.plant_client import PlantProcess
@@ -210,6 +211,8 @@ class _Account:
     named: list[str] = field(default_factory=list)
     came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
+    ripple: Ripple = NO_RIPPLE
+    """Forecast of the passes made."""
 
     def name(self, names: Iterable[str]) -> None:
         """Causes and findings, each once."""
@@ -370,6 +373,7 @@ class _Job:
             if small_gain_finding(recipe, planned.forecast):
                 return _Ended(Outcome.STALLED.value)
             last = (planned, *self._execute(plan))
+            account.ripple = account.ripple.plus(planned.ripple)
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
@@ -417,7 +421,7 @@ class _Job:
         """Measure the part so long after now, and book its true figure."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
-        surface = steps.condition(recipe, self.map(wait_s), masks, lay)
+        surface = steps.condition(recipe, self.map(wait_s), masks, lay, account.ripple)
         truth, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
         true = self._map(height, float(truth["pitch_mm"]), -1)
         truly = steps.condition(with_certified_map(recipe), true, surface.masks)

@@ -16,7 +16,7 @@ import scipy
 from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, regress_signals, remove_plane
-from polishd.process.removal.ripple import NO_RIPPLE, Ripple
+from polishd.process.removal.ripple import NO_RIPPLE, SIGMAS_OF_95, Ripple
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
 # Forecast of the residual of a planned pass as a distribution, and the errors of earlier forecasts.
@@ -32,8 +32,6 @@ MODES = 12
 SURE_NOISE = 3.0
 """Least removal over noise to measure the unexplained share."""
 SAMPLES = 4000
-SIGMAS_OF_95 = 1.96
-"""Standard deviations of a normal distribution within which 95 % lie."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +52,7 @@ class Forecast:
 
     def facts(self) -> dict[str, Any]:
         """Return it for JSON."""
-        return {**asdict(self), "ripple": {"lines": self.ripple.facts(), "radius_error": self.ripple.radius_error}}
+        return {**asdict(self), "ripple": {"lines": self.ripple.facts(), "errors": asdict(self.ripple.errors)}}
 
     @property
     def words(self) -> str:

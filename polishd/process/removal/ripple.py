@@ -41,6 +41,8 @@ CELLS_A_PERIOD = 12
 PERIODS = 3.0
 """Half the side of a patch, in the longer of both."""
 HARMONICS = 3
+SAME_PERIOD = 0.02
+"""Lines of two passes whose periods differ by less, relative, are the same."""
 SIGMAS_OF_95 = 1.96
 """Standard deviations of a normal distribution within which 95 % lie."""
 REGULAR = 0.2
@@ -93,6 +95,10 @@ class PathErrors:
         return " and ".join(found) or "no errors"
 
 
+MODELLED = PathErrors()
+"""Of a spot that was measured once, on a path without errors."""
+
+
 @dataclass(frozen=True, slots=True)
 class RippleLine:
     """A harmonic of the pattern that a path leaves."""
@@ -111,9 +117,20 @@ class RippleLine:
     cause: Cause = "path"
     """"path": lines and points as programmed; "line_error": lines out of place, a band about the period; "lag"."""
 
+    def is_same(self, other: RippleLine) -> bool:
+        """Return whether another pass leaves the same line."""
+        alike = abs(self.period_mm - other.period_mm) <= SAME_PERIOD * self.period_mm
+        return alike and (self.direction, self.cause) == (other.direction, other.cause)
+
     def kept(self, sample_mm: float) -> float:
         """Return the share of its mean square that samples which average over their distance keep."""
         return float(np.sinc(sample_mm / self.period_mm)) ** 2
+
+
+def _summed(one: RippleLine, other: RippleLine, name: str) -> float:
+    """Sum of both lines: lines out of place are so anew in each pass, and add in quadrature."""
+    pair: tuple[float, float] = getattr(one, name), getattr(other, name)
+    return float(np.hypot(*pair)) if one.cause == "line_error" else sum(pair)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +138,7 @@ class Ripple:
     """Forecast of the ripple that one pass adds."""
 
     lines: tuple[RippleLine, ...] = ()
-    errors: PathErrors = PathErrors()
+    errors: PathErrors = MODELLED
 
     @property
     def rms_nm(self) -> float:
@@ -146,6 +163,20 @@ class Ripple:
             kept = 1.0 if sample_mm is None else one.kept(sample_mm)
             square += max(kept * rms**2 - one.on_grid * one.rms_nm**2, 0.0)
         return float(np.sqrt(square))
+
+    def plus(self, later: Ripple) -> Ripple:
+        """Return the ripple of two passes: amplitudes of the same lines add up, as those of one path made twice do."""
+        lines = list(self.lines)
+        for one in later.lines:
+            known = (k for k, own in enumerate(lines) if own.is_same(one))
+            k = next(known, None)
+            if k is None:
+                lines.append(one)
+                continue
+            own = lines[k]
+            names = ("amplitude_nm", "rms_nm", "rms_high_nm")
+            lines[k] = replace(own, **{name: _summed(own, one, name) for name in names})
+        return Ripple(tuple(lines), self.errors if self.lines else later.errors)
 
     @property
     def words(self) -> str:
@@ -177,7 +208,7 @@ def ripple_of(
     grid: Grid,
     clear: BoolArray,
     *,
-    errors: PathErrors = PathErrors(),
+    errors: PathErrors = MODELLED,
     patches: int = PATCHES,
 ) -> Ripple:
     """Forecast the ripple of a dwell.
@@ -679,3 +710,28 @@ def quiet_pitch(
     share, high = ripple_shares(spot, contact, pitch, radius_error)
     best = int(np.argmin(high))
     return QuietPitch(float(pitch[best]), float(share[best]), float(high[best]), radius_error)
+
+
+LEAST_PITCH = 0.3
+"""Smallest line distance that is looked at for less ripple, as a share of the present one."""
+
+
+def quieter_pitch_mm(acting: ActingSpots, ripple: Ripple, share: float) -> float | None:
+    """Find the largest line distance whose ripple, 95 % value, is at most a share of a forecast one.
+
+    It counts with the spot at the middle gamma, across the lines of most blocks. None: there is none down to
+    LEAST_PITCH, or the forecast has no line distance.
+    """
+    now = next((one for one in ripple.lines if (one.direction, one.cause) == ("across", "path")), None)
+    if now is None or acting.blocks.n < LEAST_LINES:
+        return None
+    blocks = acting.blocks
+    travel = _travel(blocks)
+    double = np.arctan2(travel[:, 1], travel[:, 0]) * 2  # lines to and fro have one direction
+    along = float(np.angle(np.exp(1j * double).sum())) / 2
+    azimuth = float(np.angle(np.exp(1j * blocks.azimuth_rad).sum()))
+    contact = ContactAt(float(np.median(blocks.depth_ratio)), azimuth, along + np.pi / 2)
+    pitch = np.linspace(LEAST_PITCH, 1.0, CANDIDATES) * now.period_mm
+    _, high = ripple_shares(acting.spot, contact, pitch, ripple.errors.radius)
+    quiet = np.flatnonzero(high <= share * high[-1])
+    return float(pitch[quiet[-1]]) if quiet.size else None
