@@ -432,8 +432,7 @@ def made_ripple(passes: Iterable[Mapping[str, Any]]) -> Ripple:
     """Return the ripple of passes that were made, from their facts; an interrupted pass counts as a whole one."""
     ripple = NO_RIPPLE
     for facts in passes:
-        expected = facts.get("forecast")
-        ripple = ripple if expected is None else ripple.plus(record_of(Forecast, expected).ripple)
+        ripple = ripple.plus(record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}))
     return ripple
 
 
