@@ -373,7 +373,7 @@ class PlanResult:
             residual_nm=dwell.residual_nm,
             curve_s=np.array([row["total_s"] for row in solved.curve]),
             curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
-            forecast=forecast,
+            forecast=replace(forecast, floor_nm=dwell.certificate.floor_nm),
             tool=tool,
         )
 

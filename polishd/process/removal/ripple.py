@@ -695,7 +695,7 @@ def ripple_shares(
 
 def quiet_pitch(
     spot: Spot,
-    contact: ContactAt,
+    contacts: Sequence[ContactAt],
     at_most_mm: float,
     *,
     radius_error: float = RADIUS_ERROR,
@@ -703,11 +703,13 @@ def quiet_pitch(
 ) -> QuietPitch:
     """Find the line distance up to ``at_most_mm`` with the least ripple of a spot whose radius may be off.
 
-    Its path is at most ``more_path`` times as long as that with the largest distance. Arguments as of `ripple_shares`.
+    Its path is at most ``more_path`` times as long as that with the largest distance. Several contacts count in the
+    mean square: lines of a spiral run in all directions.
     """
     require_number("the largest line distance", at_most_mm, "mm", above=0.0)
     pitch = np.linspace(at_most_mm / more_path, at_most_mm, CANDIDATES)
-    share, high = ripple_shares(spot, contact, pitch, radius_error)
+    each = [ripple_shares(spot, contact, pitch, radius_error) for contact in contacts]
+    share, high = (np.sqrt(np.mean(np.square(of), axis=0)) for of in zip(*each, strict=True))
     best = int(np.argmin(high))
     return QuietPitch(float(pitch[best]), float(share[best]), float(high[best]), radius_error)
 

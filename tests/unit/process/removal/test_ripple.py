@@ -350,9 +350,9 @@ def test_the_share_of_straight_lines_is_that_of_their_sum(azimuth_deg: float) ->
 
 def test_the_quiet_pitch_is_better_than_its_neighbours_and_within_its_path() -> None:
     contact_at = ContactAt(0.95, np.pi / 2)
-    found = quiet_pitch(HertzSpot(PROCESS), contact_at, 1.0)
+    found = quiet_pitch(HertzSpot(PROCESS), [contact_at], 1.0)
     others = np.linspace(1.0 / 1.15, 1.0, 50)
     assert found.share_high <= ripple_shares(HertzSpot(PROCESS), contact_at, others)[1].min() * 1.001
     assert 1.0 / 1.15 <= found.pitch_mm <= 1.0
-    shorter = quiet_pitch(HertzSpot(PROCESS), contact_at, 1.0, more_path=3.0)
+    shorter = quiet_pitch(HertzSpot(PROCESS), [contact_at], 1.0, more_path=3.0)
     assert shorter.share_high < found.share_high
