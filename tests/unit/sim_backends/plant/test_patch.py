@@ -98,7 +98,7 @@ def test_the_plants_lines_are_those_of_the_forecast(tmp_path: Path, pitch_mm: fl
     removed = patch.start_nm - patch.height_nm
     assert removed.min() > 1.0
     forecast = [one.amplitude_nm for one in made.forecast(seconds).lines[:2]]
-    assert np.linalg.norm(amplitudes(removed, 0.08, pitch_mm)) == pytest.approx(np.linalg.norm(forecast), rel=0.15)
+    assert np.linalg.norm(amplitudes(removed, 0.08, pitch_mm)) == pytest.approx(np.linalg.norm(forecast), rel=0.05)
 
 
 def test_the_patch_wears_as_the_part_does_and_its_map_is_read(tmp_path: Path) -> None:
