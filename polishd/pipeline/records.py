@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -373,7 +373,7 @@ class PlanResult:
             residual_nm=dwell.residual_nm,
             curve_s=np.array([row["total_s"] for row in solved.curve]),
             curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
-            forecast=forecast,
+            forecast=replace(forecast, floor_nm=dwell.certificate.floor_nm),
             tool=tool,
         )
 
@@ -426,6 +426,14 @@ class PlanResult:
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         rest["tool"] = facts.get("tool", "")
         return record_of(cls, {}, {**arrays, **rest, "believed": EstimatesInUse.load(facts, initial)})
+
+
+def made_ripple(passes: Iterable[Mapping[str, Any]]) -> Ripple:
+    """Return the ripple of passes that were made, from their facts; an interrupted pass counts as a whole one."""
+    ripple = NO_RIPPLE
+    for facts in passes:
+        ripple = ripple.plus(record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}))
+    return ripple
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:

@@ -74,6 +74,7 @@ CERTIFICATE: Mapping[str, str] = {
     "seconds": "time to solve, CPU s",
     "cross_check": "cross-checked by",
     "cross_check_gap": "gap to the cross-check (relative)",
+    "floor_nm": "mean removal of the machine's shortest times, nm",
     "cutoff_period_mm": "shorter periods are out of reach of this spot, mm",
     "notes": "notes",
 }

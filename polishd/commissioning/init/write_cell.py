@@ -403,7 +403,7 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
     by_tool = {"removal_model": "hertz_preston", "tif": None}  # of a measured spot only the place counts here
     config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
     try:
-        quiet = quiet_lines(config, PITCH_MM)
+        quiet = quiet_lines(config, PITCH_MM, shape=shape)
         options = MakeOptions(shape, Path(config.program.path), pitch_mm=quiet.pitch_mm, step_mm=PITCH_MM)
         if draft.maker is not None:
             options = replace(options, encoding=draft.maker.encoding, dwell_s=draft.maker.dwell_s)

@@ -39,6 +39,7 @@ from polishd.pipeline.records import (
     PlanResult,
     SolveResult,
     figures,
+    made_ripple,
     record_of,
     tolerated_nm,
 )
@@ -208,7 +209,8 @@ class Job:
 
     async def measured(self, cycle: int, surface: SurfaceMap) -> MeasureResult:
         """Return the map on the process grid, and write it to the journal and the run folder."""
-        measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay)
+        made = made_ripple([record.facts for record in self.journal.passes])
+        measured = await self.compute(steps.condition, self.recipe, surface, self._masks, self._lay, made)
         if not self.journal.passes:
             measured = replace(measured, notes=(*measured.notes, *self._initial_notes))
         files = await asyncio.to_thread(measured.files)

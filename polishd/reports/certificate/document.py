@@ -24,6 +24,7 @@ from polishd.reports.certificate.model import (
     CertificatePass,
     CertificateSurface,
     Content,
+    HiddenRipple,
     Judgement,
 )
 from polishd.reports.certificate.sources import ReconstructedMap
@@ -194,7 +195,20 @@ def _changes(content: Content) -> DocumentSection:
             "depends on how the map is continued beyond its edge. The squares of all bands add up to the square of "
             "the RMS."
         )
-    return DocumentSection("Before and after, nm", [Table(("figure", "before", "after", "change"), rows)], notes)
+    tables = [Table(("figure", "before", "after", "change"), rows)]
+    if content.hidden_ripple:
+        head = ("ripple that the map does not show, RMS in nm", "forecast", "at most (95 %)")
+        tables.append(Table(head, [_hidden(one) for one in content.hidden_ripple]))
+        notes.append(
+            "The lines of the path leave a ripple that the samples of the last map average away. It is forecast from "
+            "the passes and not measured. The lines of the tolerance are judged with it."
+        )
+    return DocumentSection("Before and after, nm", tables, notes)
+
+
+def _hidden(one: HiddenRipple) -> tuple[str, str, str]:
+    ends = (f"below {one.from_mm:g} mm" if one.from_mm else "", f"above {one.to_mm:g} mm" if one.to_mm else "")
+    return f"{one.name}, {' and '.join(end for end in ends if end)}", f"{one.rms_nm:.3f}", f"{one.rms_high_nm:.3f}"
 
 
 def _percent(change: float | None) -> str:
