@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 from polishd.config.cell_sections import DwellSection, JobSection, PartSection, ProgramSection
@@ -92,7 +92,7 @@ class Recipe:
     def facts(self) -> dict[str, Any]:
         """Facts for a summary."""
         job = self.job.model_dump(include={"tolerance_nm", "tolerance_period_mm", "lsf_period_mm"})
-        lines = [{"what": line.what, "limit": line.limit, "unit": line.unit} for line in self.lines]
+        lines = [{"what": line.what, "unit": line.unit, **asdict(line)} for line in self.lines]
         return {
             "part_id": self.part.id,
             "outline": str(self.outline),

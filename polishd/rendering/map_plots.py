@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.rendering.plots import BLUE, DIVERGING, GREEN, INK, MUTED, NO_DATA, ORANGE, SEQUENTIAL, ruled
@@ -99,15 +99,23 @@ def value_map(
     return image
 
 
-def color_bar(images: Sequence[AxesImage | PathCollection], label: str) -> None:
-    """Draw the color bar of images with one scale, beside them. An end is pointed if values lie beyond it."""
+def color_bar(images: Sequence[AxesImage | PathCollection], label: str, panel: Axes | None = None) -> None:
+    """Draw the color bar of images with one scale. An end is pointed if values lie beyond it.
+
+    ``panel``: of the bar, which lies along its longer side; None: beside the images.
+    """
     axes: list[Any] = [image.axes for image in images]
     low, high = images[0].get_clim()
     below = any(np.nanmin(_values(image), initial=low) < low for image in images)
     above = any(np.nanmax(_values(image), initial=high) > high for image in images)
     extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
-    look: dict[str, Any] = {"shrink": 0.85, "aspect": 24, "pad": 0.02, "extend": extend, "extendfrac": 0.03}
-    bar = axes[0].figure.colorbar(images[0], ax=axes, **look)
+    look: dict[str, Any] = {"extend": extend, "extendfrac": 0.03}
+    if panel is None:
+        look |= {"ax": axes, "shrink": 0.85, "aspect": 24, "pad": 0.02}
+    else:
+        box = panel.bbox
+        look |= {"cax": panel, "orientation": "horizontal" if box.width > box.height else "vertical"}
+    bar = axes[0].figure.colorbar(images[0], **look)
     bar.set_label(label)
     bar.outline.set_visible(False)
 
@@ -201,13 +209,14 @@ def spectrum(
         return
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.set(title=title, xlabel="spatial frequency, 1/mm", ylabel="PSD, nm² mm²")
+    ax.set(xlabel="spatial frequency, 1/mm", ylabel="PSD, nm² mm²")
+    ax.set_title(title, pad=34.0 if period_axis else None)
     low, high = ax.get_xlim()
     for period in periods_mm:
         if low < 1 / period < high:
             ax.axvline(1 / period, color=MUTED, linestyle=":", linewidth=1.0)
     plain_log(ax.xaxis)
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    ax.yaxis.set_minor_locator(NullLocator())
     if period_axis:
         top = ax.secondary_xaxis("top", functions=(_inverse, _inverse))
         top.set_xlabel("period, mm", fontsize=8)
@@ -226,7 +235,7 @@ def plain_log(axis: Any) -> None:
     """Label a logarithmic axis 0.5, 1, 2, 5, 10 and not in powers."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def profiles(
@@ -320,11 +329,18 @@ def convergence(ax: Axes, steps: Sequence[ConvergenceStep], limit_nm: float | No
 
 
 def path_map(
-    ax: Axes, position_mm: FloatArray, values: FloatArray, title: str, unit: str, *, percentile: float = 100.0
+    ax: Axes,
+    position_mm: FloatArray,
+    values: FloatArray,
+    title: str,
+    unit: str,
+    *,
+    percentile: float = 100.0,
+    bar: Axes | None = None,
 ) -> None:
     """Values at the points of a path, seen from above: (n, 2 or more) mm and (n,).
 
-    ``percentile``: of the values at which the colors end.
+    ``percentile``: of the values at which the colors end. ``bar``: panel of the color bar; None: beside the map.
     """
     x, y = position_mm[:, 0], position_mm[:, 1]
     low, high = float(np.nanmin(values)), float(np.nanpercentile(values, percentile))
@@ -343,7 +359,7 @@ def path_map(
     ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")
     ax.spines[:].set_visible(False)
     ax.locator_params(nbins=5)
-    color_bar([points], unit)
+    color_bar([points], unit, bar)
 
 
 def _marker_area(position_mm: FloatArray, panel_pt: float = 175.0) -> float:

@@ -31,6 +31,12 @@ SEQUENTIAL = "cividis"
 """Colors of values without a sign."""
 
 DPI = 110
+"""Of a picture for the screen."""
+PAGE_IN = 6.77
+"""Width of a picture of a report: that of A4 between margins. It is printed as large as it is drawn, so that a font of
+8 pt has 8 pt on paper."""
+PAGE_DPI = 160
+"""Of a picture of a report."""
 
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -44,6 +50,7 @@ RC: dict[Any, Any] = {
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlepad": 7.0,
+    "axes.titley": 1.0,  # matplotlib does not search a place for it, which takes a tenth of the time of a report
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
@@ -77,16 +84,32 @@ def polishd_style() -> Iterator[None]:
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure outside the global state of matplotlib."""
-    fig = Figure(figsize=(width_in, height_in), layout="constrained")
+    """Return an empty figure outside the global state of matplotlib, which arranges its panels by itself."""
+    fig = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
     FigureCanvasAgg(fig)
     return fig
 
 
-def png(fig: Figure, dpi: int = DPI) -> bytes:
+def page_figure(height_in: float) -> Figure:
+    """Return an empty figure for a report, as wide as the page.
+
+    Its panels are placed by ``add_panel``: a layout that matplotlib computes takes half of the time of a report.
+    """
+    fig = Figure(figsize=(PAGE_IN, height_in), dpi=PAGE_DPI)
+    FigureCanvasAgg(fig)
+    return fig
+
+
+def add_panel(fig: Figure, left_in: float, bottom_in: float, width_in: float, height_in: float) -> Axes:
+    """Add axes at a place in inches, from the lower left corner of the figure."""
+    wide, high = fig.get_size_inches()
+    return fig.add_axes((left_in / wide, bottom_in / high, width_in / wide, height_in / high))
+
+
+def png(fig: Figure) -> bytes:
     """Return the figure as PNG bytes."""
     target = io.BytesIO()
-    fig.savefig(target, format="png", dpi=dpi, metadata={"Software": None})
+    fig.savefig(target, format="png", dpi="figure", metadata={"Software": None})
     return target.getvalue()
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import typer
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from polishd.maps.figures import figured
 from polishd.maps.inspect import date_words
@@ -17,6 +19,7 @@ from polishd.maps.map_files import MapSource, edges_mm, printable
 from polishd.maps.options import ReportOptions
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.model.surface import FloatArray
+from polishd.model.tolerance import LineResult
 from polishd.rendering.document import (
     DASH,
     Cell,
@@ -30,10 +33,21 @@ from polishd.rendering.document import (
     html,
     pdf,
 )
-from polishd.rendering.map_plots import PERCENTILE, Spectrum, height_limit, height_map, profiles, spectrum, value_map
-from polishd.rendering.plots import BLUE, INK, ORANGE, figure, png, polishd_style
+from polishd.rendering.map_plots import (
+    PERCENTILE,
+    Spectrum,
+    color_bar,
+    height_limit,
+    height_map,
+    histogram,
+    profiles,
+    value_map,
+)
+from polishd.rendering.plots import BLUE, INK, ORANGE, PAGE_IN, add_panel, page_figure, png, polishd_style
 from polishd.rendering.terminal import json_line, say, stdout
+from polishd.reports import wording
 from polishd.reports.map_figures import MapReportData, MapReportOptions, reported
+from polishd.reports.pictures import RIGHT_IN, SPECTRA_CAPTION, spectra_figure
 from polishd.util.files import write_atomic
 
 ENDINGS = (".html", ".pdf")
@@ -106,11 +120,12 @@ def _write(out: Path, found: list[MapReportData], *, as_json: bool) -> None:
 
 # Pictures of the map report: heights with peak, valley and profiles, slope, and spectrum.
 
-WIDTH_IN = 9.0
-DPI = 160
-"""For a report that may be printed."""
 MARK_COLORS = {"peak": ORANGE, "valley": BLUE}
 MARKS = {"peak": "^", "valley": "v"}
+LEFT_IN, BOTTOM_IN, SIDE_IN = 0.58, 0.46, 2.35
+"""Room for the labels of y and of x, and side of the square that a map is drawn in."""
+CHART_IN = 4.25
+"""Left edge of the charts beside a map."""
 
 
 def heights_picture(data: MapReportData) -> Picture:
@@ -120,58 +135,63 @@ def heights_picture(data: MapReportData) -> Picture:
         "are the profiles on the right. Gray: no data, or outside the mask."
     )
     answer, unit = data.answer, data.answer["place_unit"]
+    level = data.figured.level_nm
     with polishd_style():
-        page = figure(WIDTH_IN, 4.2)
-        axes = page.subplot_mosaic([["map", "x"], ["map", "y"]], width_ratios=[1.15, 1.0])
-        level = data.figured.level_nm
-        height_map(axes["map"], level, data.figured.surface.pitch_mm, "", limit_nm=height_limit(level, 100.0))
+        page = page_figure(3.0)
+        ax, bar = _map_and_bar(page)
+        image = height_map(ax, level, data.figured.surface.pitch_mm, "", limit_nm=height_limit(level, 100.0), bar=False)
+        color_bar([image], "height, nm", bar)
         for name, color in MARK_COLORS.items():
             mark = answer[name]
-            axes["map"].axhline(mark["y"], color=color, linewidth=0.7, linestyle="--")
-            axes["map"].axvline(mark["x"], color=color, linewidth=0.7, linestyle="--")
-            axes["map"].plot(mark["x"], mark["y"], MARKS[name], color=color, markeredgecolor=INK, markersize=7)
-        for along in "xy":
+            ax.axhline(mark["y"], color=color, linewidth=0.7, linestyle="--")
+            ax.axvline(mark["x"], color=color, linewidth=0.7, linestyle="--")
+            ax.plot(mark["x"], mark["y"], MARKS[name], color=color, markeredgecolor=INK, markersize=7)
+        for row, along in enumerate("yx"):
+            chart_in = PAGE_IN - CHART_IN - RIGHT_IN
+            chart = add_panel(page, CHART_IN, BOTTOM_IN + row * 1.28, chart_in, SIDE_IN - 1.28)
             lines = {
                 f"through the {line['through']}": (line["place"], np.array(line["nm"], dtype=np.float64))
                 for line in answer["profiles"]
                 if line["along"] == along
             }
-            profiles(axes[along], lines, xlabel=f"{along}, {unit}", colors=(ORANGE, BLUE))
+            profiles(chart, lines, xlabel=f"{along}, {unit}", colors=(ORANGE, BLUE))
+            chart.legend().remove()
             for name, color in MARK_COLORS.items():
-                axes[along].plot(answer[name][along], answer[name]["nm"], MARKS[name], color=color)
-        return Picture("heights", caption, png(page, DPI))
+                chart.plot(answer[name][along], answer[name]["nm"], MARKS[name], color=color)
+        return Picture("heights", caption, png(page))
+
+
+def _map_and_bar(page: Figure) -> tuple[Axes, Axes]:
+    """Add the panels of a map and of its color bar at the left of a page."""
+    bar = add_panel(page, LEFT_IN + SIDE_IN + 0.12, BOTTOM_IN, 0.1, SIDE_IN)
+    return add_panel(page, LEFT_IN, BOTTOM_IN, SIDE_IN, SIDE_IN), bar
 
 
 def slope_picture(data: MapReportData, slope_urad: FloatArray) -> Picture:
-    """Draw the magnitude of the slope."""
+    """Draw the magnitude of the slope, and its histogram."""
     caption = (
         f"Magnitude of the slope over the distance of two samples. The colors end at the {PERCENTILE:g}th percentile."
     )
     with polishd_style():
-        page = figure(WIDTH_IN * 0.6, 3.8)
+        page = page_figure(3.0)
+        ax, bar = _map_and_bar(page)
         greatest = float(np.nanpercentile(slope_urad, PERCENTILE)) or 1.0
         pitch_mm = data.figured.surface.pitch_mm
-        value_map(page.add_subplot(), slope_urad, pitch_mm, "", "µrad", scale=(0.0, greatest))
-        return Picture("slope", caption, png(page, DPI), wide=False)
+        image = value_map(ax, slope_urad, pitch_mm, "", scale=(0.0, greatest), bar=False)
+        color_bar([image], "slope, µrad", bar)
+        spread = add_panel(page, CHART_IN, BOTTOM_IN, PAGE_IN - CHART_IN - RIGHT_IN, SIDE_IN)
+        values = np.clip(slope_urad[np.isfinite(slope_urad)], 0.0, greatest)
+        histogram(spread, values, "", xlabel="slope, µrad", limits=(0.0, greatest))
+        return Picture("slope", caption, png(page))
 
 
 def spectrum_picture(data: MapReportData) -> Picture:
     """Draw the radial PSD up to the Nyquist frequency, with the drawing's PSD lines."""
     psd = data.answer["psd"]
-    lines = [line for line in data.lines if line.figure == "psd"]
-    caption = "Radially averaged two-dimensional PSD, up to the frequency of two samples a period."
-    caption += " The straight lines are those of the drawing: the PSD must be below them." if lines else ""
+    curves = {"measured": Spectrum(psd["frequency_per_mm"], psd["density_nm2_mm2"])}
+    limits = [asdict(line) for line in data.lines if line.figure == "psd"]
     with polishd_style():
-        page = figure(WIDTH_IN * 0.6, 3.8)
-        ax = page.add_subplot()
-        spectrum(ax, {"measured": Spectrum(psd["frequency_per_mm"], psd["density_nm2_mm2"])}, "")
-        for line in lines:
-            ends = np.array([1 / (line.below_mm or np.inf), 1 / line.above_mm])
-            label = f"{line.limit:g} / f^{line.exponent:g}" if line.exponent else f"{line.limit:g}"
-            ax.plot(ends, line.limit / ends**line.exponent, color=ORANGE, linewidth=1.8, label=label)
-        if lines:
-            ax.legend()
-        return Picture("spectrum", caption, png(page, DPI), wide=False)
+        return Picture("spectrum", SPECTRA_CAPTION, png(spectra_figure(curves, limits)))
 
 
 # The document of the map report. Each figure is taken from the answer of ``--json``.
@@ -223,7 +243,7 @@ def _chapter(found: MapReportData) -> Chapter:
         ("computed by", _footer(answer["computed"]).removeprefix("computed by ")),
     ]
     form, detail = of_form(answer), of_detail(found)
-    sections = [_surface(found), *form, *_tolerance(answer), *detail, _origin(answer), editions()]
+    sections = [*_tolerance(answer), _surface(found), *form, *detail, _origin(answer), editions()]
     return Chapter(printable(answer["part_id"]) or name, facts, sections, _verdict(answer))
 
 
@@ -313,23 +333,12 @@ def _indications(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
 def _tolerance(answer: Mapping[str, Any]) -> Iterator[DocumentSection]:
     if not answer["tolerance"]:
         return
-    rows = [
-        (
-            line["what"],
-            ReportValue.of(answer, f"tolerance.{at}.value", ".4g"),
-            ReportValue.of(answer, f"tolerance.{at}.limit", "g"),
-            ReportValue.of(answer, f"tolerance.{at}.uncertainty", ".2g"),
-            line["unit"],
-            "yes" if line["holds"] else "no",
-        )
-        for at, line in enumerate(answer["tolerance"])
-    ]
     note = (
         f"By {printable(answer['judged_by'])}, over the samples that count, {REMOVED[answer['alignment']]} removed. "
-        "± is the repeatability of the instrument, if it is known. A PSD line is the A of A / f^B by ISO 10110-8:2010, "
-        "for the radially averaged two-dimensional PSD, not for profiles."
+        "± is the repeatability of the instrument, if it is known."
     )
-    yield DocumentSection("Tolerance", [Table(("line", "measured", "limit", "±", "unit", "holds"), rows)], [note])
+    for one in wording.requirement([LineResult.of(line) for line in answer["tolerance"]], "tolerance"):
+        yield replace(one, notes=[note, *one.notes])
 
 
 def _slope(found: MapReportData) -> Iterator[DocumentSection]:

@@ -1,4 +1,4 @@
-"""Pictures of the run report: maps, convergence, spectra, and what varies along the path of a program."""
+"""Pictures of the run report: what varies along the path of a program, maps and spectra of a run."""
 
 from __future__ import annotations
 
@@ -8,57 +8,73 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from polishd.process.metrology.spectra import radial_psd
+from polishd.rendering.map_grid import MapGroup, MapPanel, map_grid
 from polishd.rendering.map_plots import (
     PERCENTILE,
     ConvergenceStep,
     Spectrum,
-    color_bar,
-    convergence,
-    empty_panel,
     height_limit,
-    height_map,
     histogram,
     path_map,
     plain_log,
-    profiles,
-    spectrum,
 )
-from polishd.rendering.plots import BLUE, GREEN, MUTED, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.plots import (
+    BLUE,
+    GREEN,
+    MUTED,
+    ORANGE,
+    PAGE_IN,
+    add_panel,
+    page_figure,
+    png,
+    polishd_style,
+    ruled,
+)
 from polishd.reports import wording
+from polishd.reports.pictures import RIGHT_IN, NamedMap, chart
 from polishd.reports.run_reader import Arrays, BoolArray, Cycle, FloatArray, ReportSurface
 from polishd.util.files import write_atomic
 
-WIDTH_IN = 10.6
-HALF_IN = (5.2, 3.7)
-"""Width and height of a picture that takes half the page."""
-HEIGHT_LABEL = "height on the process grid, nm"
-
 Rows = Sequence[Mapping[str, Any]]
 
-# Along the path.
+# Along the path: a map of the values over the part, and a chart beside it.
+
+ROW_IN, SIDE_IN, LEFT_IN, BOTTOM_IN = 2.75, 1.85, 0.58, 0.46
+"""Height of a row, side of a map, and room left of it and below it."""
+CHART_IN = 4.0
+"""Left edge of the chart beside a map."""
+
+
+def _map_and_chart(fig: Figure, row: int = 0) -> tuple[Axes, Axes, Axes]:
+    """Add a row: a square map, its color bar, and a chart. Row 0 is the lowest."""
+    bottom_in = row * ROW_IN + BOTTOM_IN
+    return (
+        add_panel(fig, LEFT_IN, bottom_in, SIDE_IN, SIDE_IN),
+        add_panel(fig, LEFT_IN + SIDE_IN + 0.12, bottom_in, 0.1, SIDE_IN),
+        add_panel(fig, CHART_IN, bottom_in, PAGE_IN - CHART_IN - RIGHT_IN, SIDE_IN),
+    )
 
 
 def compliance_picture(plan: Arrays) -> Figure:
-    """Compliance of the robot and depth ratio: along the path, and over the part."""
-    fig = figure(WIDTH_IN, 5.6)
-    panels = fig.subplots(2, 2, width_ratios=[1.9, 1.0])
+    """Compliance of the robot and depth ratio: over the part, and along the path."""
+    fig = page_figure(2 * ROW_IN)
     rows = (
-        ("compliance_um_per_n", "Linear equivalent compliance", "compliance, µm/N", BLUE),
         ("gamma", "Depth ratio gamma (1 = rigid robot)", "gamma", GREEN),
+        ("compliance_um_per_n", "Linear equivalent compliance", "µm/N", BLUE),
     )
-    for (along, over), (key, title, label, color) in zip(panels, rows, strict=True):
+    for row, (key, title, label, color) in enumerate(rows):
         values = np.asarray(plan[key], dtype=np.float64)
+        over, bar, along = _map_and_chart(fig, row)
+        path_map(over, _middle_mm(plan), values, title, label, bar=bar)
         along.plot(path_m(plan), values, color=color, linewidth=0.7)
-        along.set(title=f"{title}, {np.nanmin(values):.3f} to {np.nanmax(values):.3f}", ylabel=label)
-        along.set_xlabel("path length, m")
+        along.set(title=f"{np.nanmin(values):.3f} to {np.nanmax(values):.3f}", xlabel="path length, m", ylabel=label)
         along.margins(x=0.01)
         ruled(along)
-        path_map(over, _middle_mm(plan), values, "", label)
     return fig
 
 
@@ -66,17 +82,17 @@ def dwell_picture(plan: Arrays) -> Figure:
     """Dwell time over the part, and its distribution above the lower bound."""
     time_s = np.asarray(plan["time_s"], dtype=np.float64)
     lower_s = np.asarray(plan["lower_s"], dtype=np.float64)
-    fig = figure(WIDTH_IN, 3.9)
-    over, spread = fig.subplots(1, 2, width_ratios=[1.0, 1.45])
+    fig = page_figure(ROW_IN)
+    over, bar, spread = _map_and_chart(fig)
     title = f"Dwell, {time_s.sum():,.0f} s over {time_s.size:,} points"
-    path_map(over, _middle_mm(plan), time_s, title, "time per point, s", percentile=PERCENTILE)
+    path_map(over, _middle_mm(plan), time_s, title, "time per point, s", percentile=PERCENTILE, bar=bar)
     top = max(float(np.percentile(time_s, PERCENTILE)), float(lower_s.max()), 1e-6)
     at_bound = int(np.count_nonzero(time_s <= lower_s * (1 + 1e-9) + 1e-12))
-    title = f"Distribution, {at_bound:,} points at their lower bound"
+    title = f"{at_bound:,} points at their lower bound"
     limits = (0.0, top)
     histogram(spread, np.clip(time_s, *limits), title, xlabel="time per point, s", ylabel="points", limits=limits)
     median = float(np.median(lower_s))
-    spread.axvline(median, color=ORANGE, linewidth=1.3, label=f"lower bound by motion, median {median:.3g} s")
+    spread.axvline(median, color=ORANGE, linewidth=1.3, label=f"bound, median {median:.3g} s")
     spread.margins(y=0.16)
     spread.legend(loc="upper right", framealpha=0.85, frameon=True, edgecolor="none")
     return fig
@@ -86,22 +102,22 @@ def executed_picture(plan: Arrays, executed_s: FloatArray) -> Figure:
     """Executed time against expected time: of each point, and summed along the path."""
     expected_s = np.asarray(plan["expected_s"], dtype=np.float64)
     known = np.isfinite(executed_s)
-    fig = figure(WIDTH_IN, 3.6)
-    each, total = fig.subplots(1, 2, width_ratios=[1.0, 1.9])
+    fig = page_figure(ROW_IN)
+    each = add_panel(fig, LEFT_IN, BOTTOM_IN, SIDE_IN, SIDE_IN)
+    total = add_panel(fig, LEFT_IN + SIDE_IN + 0.8, BOTTOM_IN, PAGE_IN - LEFT_IN - SIDE_IN - 0.8 - RIGHT_IN, SIDE_IN)
     ends = [float(np.percentile(times, 99.8)) for times in (expected_s, executed_s[known]) if times.size]
     top = max(*ends, 1e-6)
     each.plot([0, top], [0, top], color=MUTED, linewidth=1.0, linestyle=(0, (4, 3)))
     each.plot(expected_s[known], executed_s[known], ".", color=BLUE, markersize=2.4, alpha=0.5, markeredgewidth=0)
     each.set(title="Each point", xlabel="expected, s", ylabel="executed, s", xlim=(0, top), ylim=(0, top))
-    each.set_aspect("equal")
     ruled(each, "both")
     total.axhline(0.0, color=MUTED, linewidth=0.8)
     behind_s = np.cumsum(np.where(known, executed_s - expected_s, 0.0))
     total.plot(path_m(plan), behind_s, color=ORANGE, linewidth=1.3)
-    title = f"Executed {np.nansum(executed_s):,.1f} s of {expected_s.sum():,.1f} s expected"
     missing = int(np.count_nonzero(~known))
-    total.set(title=title + (f", {missing:,} points not reached" if missing else ""), xlabel="path length, m")
-    total.set_ylabel("summed executed - expected, s")
+    title = f"Executed {np.nansum(executed_s):,.1f} s of {expected_s.sum():,.1f} s expected"
+    total.set(title=title + (f",\n{missing:,} points not reached" if missing else ""), xlabel="path length, m")
+    total.set_ylabel("executed - expected, sum, s")
     total.margins(x=0.01)
     ruled(total)
     return fig
@@ -120,61 +136,20 @@ def _middle_mm(plan: Arrays) -> FloatArray:
     return (np.asarray(plan["start_mm"], dtype=np.float64) + np.asarray(plan["end_mm"], dtype=np.float64)) / 2
 
 
-# Surface maps: heights about their mean, with the edge of the clear aperture.
-
-
-def overview_picture(surfaces: Sequence[tuple[str, ReportSurface]]) -> Figure:
-    """All measurements side by side, on the color scale of the first."""
-    limit_nm = _limit_nm(surfaces[0][1])
-    columns = max(len(surfaces), 3)
-    fig = figure(WIDTH_IN, 0.75 + 0.8 * WIDTH_IN / columns)
-    axes = fig.subplots(1, columns, squeeze=False)[0]
-    images = []
-    for ax, (name, surface) in zip(axes, surfaces, strict=False):
-        title = f"{name}: {surface.rms_nm():.2f} nm RMS"
-        images.append(_show(ax, surface, surface.levelled(), limit_nm, title, bar=False))
-        if ax is not axes[0]:
-            ax.set_ylabel("")
-    for ax in axes[len(surfaces) :]:
-        empty_panel(ax)
-    color_bar(images, HEIGHT_LABEL)
+def trade_off_picture(plan: Arrays, predicted_nm: float) -> Figure:
+    """Least residual for each total time, and where the plan lies."""
+    fig, ax = chart(2.4)
+    ax.plot(plan["curve_s"], plan["curve_nm"], "o-", color=BLUE, markersize=4, label="least residual in that time")
+    plan_s = float(plan["time_s"].sum())
+    ax.plot([plan_s], [predicted_nm], "D", color=ORANGE, markersize=7, fillstyle="none", label="this plan")
+    ax.set(xlabel="total dwell, s", ylabel="predicted RMS, nm", yscale="log")
+    plain_log(ax.yaxis)
+    ax.legend(loc="best")
+    ruled(ax)
     return fig
 
 
-def pass_picture(before: ReportSurface, after: ReportSurface, after_name: str) -> Figure:
-    """Maps before and after a pass on one scale, the second on its own scale too, and their profiles along x."""
-    limit_nm = _limit_nm(before)
-    fig = figure(WIDTH_IN * 4 / 3, 3.5)
-    axes = list(fig.subplots(1, 4))
-    shared = zip(axes, (("Before", before), (after_name, after)), strict=False)
-    color_bar(
-        [
-            _show(ax, surface, surface.levelled(), limit_nm, f"{name}: {surface.rms_nm():.2f} nm RMS", bar=False)
-            for ax, (name, surface) in shared
-        ],
-        HEIGHT_LABEL,
-    )
-    _show(axes[2], after, after.levelled(), _limit_nm(after), f"{after_name}, on its own scale")
-    lines = {
-        name: (surface.x_mm, surface.levelled()[surface.height_nm.shape[0] // 2])
-        for name, surface in (("before", before), (after_name.lower(), after))
-    }
-    profiles(axes[3], lines, "Along x at y = 0", xlabel="x, mm", ylabel=HEIGHT_LABEL, colors=(MUTED, ORANGE))
-    axes[3].set_box_aspect(1)
-    return fig
-
-
-def last_map_picture(surface: ReportSurface, first: ReportSurface) -> Figure:
-    """The last map on the scale of the first and on its own, and the histogram of its heights."""
-    fig = figure(WIDTH_IN, 3.5)
-    axes = list(fig.subplots(1, 3))
-    own_nm = _limit_nm(surface)
-    _show(axes[0], surface, surface.levelled(), _limit_nm(first), "On the first map's scale")
-    _show(axes[1], surface, surface.levelled(), own_nm, f"On its own scale: {surface.rms_nm():.2f} nm RMS")
-    limits = (-1.3 * own_nm, 1.3 * own_nm)
-    histogram(axes[2], surface.inside(), "Heights in the clear aperture", xlabel=HEIGHT_LABEL, limits=limits)
-    axes[2].set_box_aspect(1)
-    return fig
+# Maps: heights about their mean, with the edge of the clear aperture.
 
 
 def prediction_picture(cycle: Cycle, after: ReportSurface) -> Figure:
@@ -183,20 +158,18 @@ def prediction_picture(cycle: Cycle, after: ReportSurface) -> Figure:
     if predicted.shape != after.height_nm.shape:
         raise ValueError(f"the plan's grid {predicted.shape} is not the next map's {after.height_nm.shape}")
     difference = after.levelled() - after.levelled(predicted)
-    limit_nm = max(_limit_nm(after), height_limit(after.inside(predicted)))
-    fig = figure(WIDTH_IN, 3.5)
-    axes = list(fig.subplots(1, 3))
-    panels = (
-        ("Predicted", after.levelled(predicted)),
-        ("Measured", after.levelled()),
-        ("Measured - predicted", difference),
+    limit_nm = max(height_limit(after.inside()), height_limit(after.inside(predicted)))
+    maps = (
+        after.named("Predicted", predicted),
+        after.named("Measured after"),
+        after.named("Measured - predicted", difference),
     )
-    images = [
-        _show(ax, after, height, limit_nm, f"{name}: {after.rms_nm(height):.2f} nm RMS", bar=False)
-        for ax, (name, height) in zip(axes, panels, strict=True)
-    ]
-    color_bar(images, HEIGHT_LABEL)
-    return fig
+    return map_grid([MapGroup([one.panel() for one in maps], limit_nm)], after.pitch_mm)
+
+
+def predicted_map(cycle: Cycle, before: ReportSurface) -> NamedMap:
+    """Return the map that the plan predicted, on the grid of the map before it."""
+    return before.named("Predicted", residual_of(cycle))
 
 
 def residual_of(cycle: Cycle) -> FloatArray:
@@ -206,26 +179,7 @@ def residual_of(cycle: Cycle) -> FloatArray:
     return np.where(np.isfinite(cycle.plan["residual_nm"]), cycle.plan["residual_nm"], np.nan).astype(np.float64)
 
 
-def _limit_nm(surface: ReportSurface) -> float:
-    return height_limit(surface.inside())
-
-
-def _show(
-    ax: Any, surface: ReportSurface, height_nm: FloatArray, limit_nm: float, title: str, *, bar: bool = True
-) -> Any:
-    look: dict[str, Any] = {"limit_nm": limit_nm, "edge": surface.metric_mask, "bar": bar}
-    return height_map(ax, height_nm, surface.pitch_mm, title, **look)
-
-
 # The whole run.
-
-
-def convergence_picture(rows: Rows, limit_nm: float | None, period_mm: float) -> Figure:
-    """Measured RMS, what each plan predicted, and the tolerance."""
-    fig = figure(*HALF_IN)
-    measured = f"measured, periods above {period_mm:g} mm" if period_mm > 0 else "measured"
-    convergence(fig.add_subplot(), convergence_steps(rows, period_mm), limit_nm, measured)
-    return fig
 
 
 def convergence_steps(rows: Rows, period_mm: float) -> list[ConvergenceStep]:
@@ -235,49 +189,18 @@ def convergence_steps(rows: Rows, period_mm: float) -> list[ConvergenceStep]:
     for index, (before, row) in enumerate(zip([{}, *rows], rows, strict=False)):
         interrupted = wording.interrupted(before)
         plan = {} if interrupted else before
-        ends = number(plan, "expected_low_nm"), number(plan, "expected_high_nm")
+        ends = wording.number(plan, "expected_low_nm"), wording.number(plan, "expected_high_nm")
         steps.append(
             ConvergenceStep(
                 name=wording.measurement(rows, index),
-                rms_nm=number(row, key),
-                predicted_nm=number(plan, "predicted_rms_nm"),
+                rms_nm=wording.number(row, key),
+                predicted_nm=wording.number(plan, "predicted_rms_nm"),
                 expected_nm=ends if all(map(math.isfinite, ends)) else None,
                 interrupted=interrupted,
-                all_periods_nm=number(row, "rms_nm") if period_mm > 0 else math.nan,
+                all_periods_nm=wording.number(row, "rms_nm") if period_mm > 0 else math.nan,
             )
         )
     return steps
-
-
-def number(row: Mapping[str, Any], key: str) -> float:
-    """Positive figure of a row; NaN if there is none."""
-    value = row.get(key)
-    return float(value) if isinstance(value, int | float) and value > 0 else math.nan
-
-
-def trade_off_picture(plan: Arrays, predicted_nm: float) -> Figure:
-    """Least residual for each total time, and where the plan lies."""
-    fig = figure(*HALF_IN)
-    ax = fig.add_subplot()
-    ax.plot(plan["curve_s"], plan["curve_nm"], "o-", color=BLUE, markersize=4, label="least residual in that time")
-    plan_s = float(plan["time_s"].sum())
-    ax.plot([plan_s], [predicted_nm], "D", color=ORANGE, markersize=7, fillstyle="none", label="this plan")
-    ax.set(title="Residual against time", xlabel="total dwell, s", ylabel="predicted RMS, nm", yscale="log")
-    plain_log(ax.yaxis)
-    ax.legend(loc="best")
-    ruled(ax)
-    return fig
-
-
-def spectra_picture(surfaces: Sequence[tuple[str, ReportSurface]], periods_mm: Sequence[float]) -> Figure:
-    """Power spectrum of each measurement: the first gray, the last dark. Periods are marked by dotted lines."""
-    fig = figure(*HALF_IN)
-    shades = mpl.colormaps["Blues"](np.linspace(0.4, 0.95, max(len(surfaces) - 1, 1)))
-    curves = {
-        name: smooth_spectrum(surface.height_nm, surface.metric_mask, surface.pitch_mm) for name, surface in surfaces
-    }
-    spectrum(fig.add_subplot(), curves, periods_mm=periods_mm, colors=[MUTED, *shades])
-    return fig
 
 
 def smooth_spectrum(height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> Spectrum:
@@ -317,24 +240,15 @@ def write_removal_check(folder: Path) -> None:
 
 def _removal_check_picture(arrays: Arrays, result: Mapping[str, Any]) -> Figure:
     """Removal above, residuals below, all on the scale of the measured removal."""
-    mask = arrays["metric_mask"]
+    mask, best = arrays["metric_mask"], result["best"]
     measured = ReportSurface(np.where(mask, arrays["measured_nm"], np.nan), mask, float(arrays["pitch_mm"]))
-    best = result["best"]
     x, y = (round(shift, 1) + 0.0 for shift in best["shift_mm"])  # never -0.0
-    page = figure(WIDTH_IN, 0.75 * WIDTH_IN)
-    page.suptitle(result["stop"], x=0.01, ha="left", wrap=True)
-    axes = page.subplots(2, 3)
     panels = (
-        (axes[0, 0], "predicted_nm", f"Predicted removal: correlates {result['correlation']:.2f}"),
-        (axes[0, 1], "measured_nm", "Measured removal"),
-        (axes[0, 2], "explained_nm", f"Best: {best['name']}\n{best['correlation']:.2f} at ({x:+.1f}, {y:+.1f}) mm"),
-        (axes[1, 0], "residual_nm", "Measured - predicted"),
-        (axes[1, 2], "best_residual_nm", "Measured - best explanation"),
+        ("predicted_nm", f"Predicted removal:\ncorrelates {result['correlation']:.2f}"),
+        ("measured_nm", "Measured removal"),
+        ("explained_nm", f"{best['name']}:\n{best['correlation']:.2f} at ({x:+.1f}, {y:+.1f}) mm"),
+        ("residual_nm", "Measured - predicted"),
+        ("best_residual_nm", "Measured - best\nexplanation"),
     )
-    images = [
-        _show(ax, measured, np.where(mask, arrays[key], np.nan), _limit_nm(measured), title, bar=False)
-        for ax, key, title in panels
-    ]
-    empty_panel(axes[1, 1])
-    color_bar(images, "removal, nm")
-    return page
+    maps = [MapPanel(title, np.where(mask, arrays[key], np.nan), mask) for key, title in panels]
+    return map_grid([MapGroup(maps, height_limit(measured.inside()))], measured.pitch_mm, "removal, nm")

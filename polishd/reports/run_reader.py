@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.process.robot.motion import executed_s
+from polishd.reports.pictures import NamedMap
 
 Arrays = Mapping[str, NDArray[Any]]
 FloatArray = NDArray[np.float64]
@@ -36,12 +37,6 @@ class ReportSurface:
     metric_mask: BoolArray
     pitch_mm: float
 
-    @property
-    def x_mm(self) -> FloatArray:
-        """Position of each column from the middle, (nx,)."""
-        nx = self.height_nm.shape[1]
-        return np.asarray((np.arange(nx) - (nx - 1) / 2) * self.pitch_mm, dtype=np.float64)
-
     def levelled(self, height_nm: FloatArray | None = None) -> FloatArray:
         """Return this map, or another on its grid, less its mean in the clear aperture."""
         height = self.height_nm if height_nm is None else height_nm
@@ -57,6 +52,11 @@ class ReportSurface:
         """RMS in the clear aperture, mean removed; NaN without data."""
         inside = self.inside(height_nm)
         return float(inside.std()) if inside.size else math.nan
+
+    def named(self, name: str, height_nm: FloatArray | None = None, rms_nm: float = math.nan) -> NamedMap:
+        """Return this map, or another on its grid, for a picture. ``rms_nm``: of its own samples; NaN: of the grid."""
+        rms_nm = self.rms_nm(height_nm) if math.isnan(rms_nm) else rms_nm
+        return NamedMap(name, self.levelled(height_nm), self.metric_mask, rms_nm)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from polishd.rendering.document import (
 )
 from polishd.rendering.map_plots import PERCENTILE
 from polishd.rendering.plots import png, polishd_style
-from polishd.reports import run_pictures, wording
+from polishd.reports import pictures, run_pictures, wording
 from polishd.reports.run_pictures import write_removal_check
 from polishd.reports.run_reader import Cycle, ReportSurface, RunFolderReader, read_folder
 from polishd.reports.wording import VERDICTS, duration, figure, plain, text, when
@@ -82,8 +82,18 @@ CERTIFICATE: Mapping[str, str] = {
 
 PAGE = "report.html"
 PICTURES = "pictures"
-LSF_PERIOD_MM = 33.0
-"""If the summary has no ``lsf_period_mm``."""
+GRID_NOTE = (
+    "Maps and their RMS here are averaged onto the process grid; the tables have those of the map's own samples."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnSections:
+    """Sections with pictures, by the page that they are on."""
+
+    front: Sequence[DocumentSection] = ()
+    figures: Sequence[DocumentSection] = ()
+    details: Sequence[DocumentSection] = ()
 
 
 def write_report(run_dir: Path) -> Path:
@@ -91,36 +101,57 @@ def write_report(run_dir: Path) -> Path:
     folder = read_folder(run_dir)
     album = Album(run_dir / PICTURES, folder.missing)
     with polishd_style():
-        sections = [run_section(folder, album)]
-        for index in range(len(folder.cycles)):
-            sections += cycle_sections(folder, index, album)
+        drawn = DrawnSections(
+            front=front_sections(folder, album),
+            figures=[spectra_section(folder, album)],
+            details=[one for index in range(len(folder.cycles)) for one in cycle_sections(folder, index, album)],
+        )
     target = run_dir / PAGE
-    write_atomic(target, html(run_report_document(folder, sections)).encode())
+    write_atomic(target, html(run_report_document(folder, drawn)).encode())
     return target
 
 
-def run_report_document(folder: RunFolderReader, sections: Sequence[DocumentSection]) -> ReportDocument:
-    """Return the run report.
+def run_report_document(folder: RunFolderReader, drawn: DrawnSections) -> ReportDocument:
+    """Return the run report: a page with the result, a page with the figures, and the details.
 
     Args:
         folder: the facts, with what is missing.
-        sections: those with pictures, from ``run_section`` and ``cycle_sections``. Empty ones are left out.
+        drawn: sections with pictures. Empty ones are left out.
     """
+    rows = folder.rows()
     part = text(folder.summary.get("part_id")) or folder.path.name
     outcome = "planned" if folder.planned else text(folder.summary.get("outcome"))
-    lists = (("Notes", notes_of(folder)), ("Missing from this report", folder.missing))
-    chapter = Chapter(
-        title=part,
-        facts=facts_of(folder),
-        sections=[
-            *_measurements(folder.rows()),
-            *(DocumentSection(title, notes=notes) for title, notes in lists if notes),
-            *(section for section in sections if section.pictures or section.tables or section.files),
-        ],
-        verdict=VERDICTS.get(outcome) or Verdict("plain", outcome.replace("_", " ").capitalize()),
-    )
+    verdict = VERDICTS.get(outcome) or Verdict("plain", outcome.replace("_", " ").capitalize())
     kind = "plan" if folder.planned else "run"
-    return ReportDocument(f"{part}: {kind} report", [chapter], f"{kind} report by polishd {__version__}")
+    lists = (("Notes", notes_of(folder)), ("Missing from this report", folder.missing))
+    notes = [DocumentSection(title, notes=notes) for title, notes in lists if notes]
+    chapters = (
+        Chapter(part, facts_of(folder), [*_requirement(folder), *_shown(drawn.front)], verdict),
+        Chapter(
+            "Figures", times_of(folder), [*_measurements(rows), *_shown(drawn.figures), *wording.ripple_section(rows)]
+        ),
+        Chapter("Details", (), [*notes, *_shown(drawn.details)]),
+    )
+    first, *others = chapters
+    return ReportDocument(
+        title=f"{part}: {kind} report",
+        chapters=[first, *(chapter for chapter in others if chapter.sections)],
+        footer=f"{kind} report by polishd {__version__}",
+    )
+
+
+def _shown(sections: Sequence[DocumentSection]) -> list[DocumentSection]:
+    return [section for section in sections if section.pictures or section.tables or section.files]
+
+
+def _requirement(folder: RunFolderReader) -> Iterator[DocumentSection]:
+    """Yield the tolerance with the results of the first and of the last map; nothing without a summary."""
+    rows = folder.rows()
+    if not rows:
+        return
+    before = wording.results(rows[0]) if len(rows) > 1 else ()
+    last = wording.results(rows[-1])
+    yield from wording.requirement(last, f"cycles.{len(rows) - 1}.judged", before, "cycles.0.judged")
 
 
 def facts_of(folder: RunFolderReader) -> list[tuple[str, str]]:
@@ -138,12 +169,19 @@ def facts_of(folder: RunFolderReader) -> list[tuple[str, str]]:
         ("accepted", wording.accepted(summary, rows)),
         ("passes", "" if folder.planned or not rows else wording.passes(rows)),
         ("process time", duration(rows, "dwell_s" if folder.planned else "executed_s")),
-        ("elapsed time", wording.phase_durations(summary.get("phase_times_s"))),
-        ("correction", text(summary.get("correction"))),
         ("outline", text(summary.get("outline"))),
         ("job", text(summary.get("job"))),
+        ("reason", text(summary.get("reason"))),
         ("started", when(summary.get("started"))),
         ("ended", when(summary.get("ended"))),
+    ]
+
+
+def times_of(folder: RunFolderReader) -> list[tuple[str, str]]:
+    """Return how the plans were made, and the elapsed time of each phase."""
+    return [
+        ("correction", text(folder.summary.get("correction"))),
+        ("elapsed time", wording.phase_durations(folder.summary.get("phase_times_s"))),
     ]
 
 
@@ -159,20 +197,18 @@ def notes_of(folder: RunFolderReader) -> list[str]:
 
 
 def _measurements(rows: wording.Rows) -> list[DocumentSection]:
-    """Return the table of measurements, and that of the tolerance's lines; nothing without a summary."""
+    """Return the table of measurements; nothing without a summary."""
     columns = [column for column in COLUMNS if any(figure(row.get(column.key), column.form) for row in rows)]
     names = [wording.measurement(rows, index) for index in range(len(rows))]
     if not rows:
         return []
     cells = [(name, *(_cell(rows, index, column) for column in columns)) for index, name in enumerate(names)]
-    tables = [Table(("measured", *(column.title for column in columns)), cells)]
-    if lines := wording.lines(rows):
-        tables.append(Table(("tolerance", "limit", *names, "the last measurement is within"), lines))
+    table = Table(("measured", *(column.title for column in columns)), cells)
     note = (
         "In the clear aperture, mean removed. LSF: low spatial frequency (figure). Predicted, dwell and executed "
         "belong to the pass that follows the measurement in their row."
     )
-    return [DocumentSection("Measurements", tables, [note])]
+    return [DocumentSection("Measurements", [table], [note])]
 
 
 def _cell(rows: wording.Rows, index: int, column: Column) -> Cell:
@@ -191,7 +227,7 @@ class Album:
     missing: list[str]
     pictures: list[Picture] = field(default_factory=list)
 
-    def add(self, name: str, caption: str, draw: Callable[[], Figure], *, wide: bool = True) -> None:
+    def add(self, name: str, caption: str, draw: Callable[[], Figure]) -> None:
         """Draw, write ``name.png``, and keep the picture for the next ``take``."""
         try:
             content = png(draw())
@@ -200,7 +236,7 @@ class Album:
             return
         self.folder.mkdir(exist_ok=True)
         write_atomic(self.folder / f"{name}.png", content)
-        self.pictures.append(Picture(name, caption, content, wide=wide))
+        self.pictures.append(Picture(name, caption, content))
 
     def take(self) -> tuple[Picture, ...]:
         """Return the pictures since the last ``take``."""
@@ -208,33 +244,64 @@ class Album:
         return taken
 
 
-def run_section(folder: RunFolderReader, album: Album) -> DocumentSection:
-    """Draw all measurements together. A plan has one measurement, of which only the spectrum is drawn."""
-    rows = folder.rows()
-    limit_nm = folder.summary.get("tolerance_nm") or wording.rms_limit(rows)
-    surfaces = [(wording.measurement(rows, index).capitalize(), surface) for index, surface in measured(folder)]
-    period = folder.summary.get("tolerance_period_mm") or 0.0
-    if len(surfaces) > 1:
-        caption = (
-            "All measurements on the color scale of the first, averaged onto the process grid. The RMS above a picture "
-            "excludes noise and raster ripple; the RMS in the table is that of the map. Line: the clear aperture."
+def front_sections(folder: RunFolderReader, album: Album) -> list[DocumentSection]:
+    """Draw the first and the last map, or the map of a plan and what it predicts; and the RMS of each measurement."""
+    rows, surfaces = folder.rows(), measured(folder)
+    if folder.planned and surfaces:
+        before = surfaces[0][1]
+        album.add(
+            "maps",
+            pictures.MAPS_CAPTION,
+            lambda: _predicted("Measured", before, folder.cycles[0]),
         )
-        album.add("overview", caption, lambda: run_pictures.overview_picture(surfaces))
+    elif surfaces:
+        some = [surfaces[0], *surfaces[1:][-1:]]
+        caption = pictures.MAPS_CAPTION if len(some) > 1 else pictures.ONE_MAP_CAPTION
+        maps = [
+            surface.named(
+                wording.measurement(rows, index).capitalize(),
+                rms_nm=wording.number(rows[index], "rms_nm") if index < len(rows) else math.nan,
+            )
+            for index, surface in some
+        ]
+        album.add("maps", f"{caption} {GRID_NOTE}", lambda: pictures.maps_figure(maps, some[0][1].pitch_mm))
+    maps_section = DocumentSection("Before and after", pictures=album.take())
     if len(rows) > 1:
-        caption = (
-            "Measured RMS, and what each plan predicted for the measurement after it. Dashed: an interrupted pass, for "
-            "which nothing is predicted."
+        limit_nm = folder.summary.get("tolerance_nm") or wording.rms_limit(wording.results(rows[-1]))
+        period = folder.summary.get("tolerance_period_mm") or 0.0
+        name = f"measured, periods above {period:g} mm" if period > 0 else "measured"
+        steps = run_pictures.convergence_steps(rows, period)
+        album.add(
+            "convergence", pictures.CONVERGENCE_CAPTION, lambda: pictures.convergence_figure(steps, limit_nm, name)
         )
-        album.add("trend", caption, lambda: run_pictures.convergence_picture(rows, limit_nm, period), wide=False)
+    return [maps_section, DocumentSection("RMS in the clear aperture", pictures=album.take())]
+
+
+def _predicted(name: str, before: ReportSurface, cycle: Cycle) -> Figure:
+    predicted = before.named("Predicted", run_pictures.residual_of(cycle))
+    return pictures.maps_figure([before.named(name), predicted], before.pitch_mm)
+
+
+def spectra_section(folder: RunFolderReader, album: Album) -> DocumentSection:
+    """Draw the spectrum of each measurement with the limits of the drawing and the ripple of the path."""
+    rows, surfaces = folder.rows(), measured(folder)
     if surfaces:
-        lsf_mm = float(folder.summary.get("lsf_period_mm") or LSF_PERIOD_MM)
-        caption = f"Averaged over directions; edge tapered. Figure (LSF) is left of the dotted line at {lsf_mm:g} mm."
-        lines_mm = sorted(
-            {round(run_pictures.number(one, "period_mm"), 3) for row in rows for one in row.get("ripple") or ()}
+        ripple_mm = [wording.number(one, "period_mm") for row in rows for one in wording.ripple(row)]
+        album.add(
+            "psd",
+            f"{pictures.SPECTRA_CAPTION} Rings averaged over a sixth of an octave.",
+            lambda: pictures.spectra_figure(
+                {
+                    wording.measurement(rows, index): run_pictures.smooth_spectrum(
+                        surface.height_nm, surface.metric_mask, surface.pitch_mm
+                    )
+                    for index, surface in surfaces
+                },
+                wording.psd_limits(folder.summary),
+                ripple_mm,
+            ),
         )
-        caption += " Further dotted lines: periods of the path's ripple." if lines_mm else ""
-        album.add("psd", caption, lambda: run_pictures.spectra_picture(surfaces, [lsf_mm, *lines_mm]), wide=False)
-    return DocumentSection("Surface" if folder.planned else "The whole run", pictures=album.take())
+    return DocumentSection("Power spectrum", pictures=album.take())
 
 
 def measured(folder: RunFolderReader) -> list[tuple[int, ReportSurface]]:
@@ -246,32 +313,18 @@ def cycle_sections(folder: RunFolderReader, index: int, album: Album) -> list[Do
     """Draw a cycle: a pass between two measurements, or a measurement without a pass after it."""
     cycle, rows = folder.cycles[index], folder.rows()
     if cycle.plan is None:
-        _draw_last_map(folder, index, album)
         title = f"Measurement {wording.measurement(rows, index) if index else 'at the start'} ({cycle.name})"
-        return [DocumentSection(title, pictures=album.take(), files=cycle.files)]
+        return [DocumentSection(title, files=cycle.files)]
     after = folder.cycles[index + 1].surface if index + 1 < len(folder.cycles) else None
-    _draw_maps(cycle, after, album)
+    if not folder.planned:
+        _draw_maps(cycle, after, album)
     _draw_path(folder, index, album)
     title = "Plan" if folder.planned else f"{wording.pass_after(rows, index)} ({cycle.name})"
     tables = [] if cycle.certificate is None else [Table((), certificate_rows(cycle.certificate))]
-    ripple = ripple_table(rows[index]) if index < len(rows) else None
     return [
         DocumentSection(title, pictures=album.take()),
-        *([] if ripple is None else [DocumentSection("Ripple that the path adds", [ripple])]),
         DocumentSection("Certificate of the dwell solution", tables, files=cycle.files),
     ]
-
-
-def ripple_table(row: Mapping[str, Any]) -> Table | None:
-    """Return the harmonics that a pass adds, and their sum; None where there is no forecast."""
-    lines = [one for one in row.get("ripple") or () if isinstance(one, dict)]
-    if not lines:
-        return None
-    keys = ("period_mm", "amplitude_nm", "rms_nm", "rms_high_nm")
-    cells = [(plain(one.get("direction")), *(f"{run_pictures.number(one, key):.2f}" for key in keys)) for one in lines]
-    whole = [f"{math.sqrt(sum(run_pictures.number(one, key) ** 2 for one in lines)):.2f}" for key in keys[2:]]
-    head = ("direction", "period, mm", "amplitude, nm", "RMS, nm", "RMS with the spot's radius off, nm")
-    return Table(head, [*cells, ("all", "", "", *whole)])
 
 
 def certificate_rows(certificate: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -280,39 +333,17 @@ def certificate_rows(certificate: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(CERTIFICATE.get(key, key), plain(certificate[key])) for key in keys]
 
 
-def _draw_last_map(folder: RunFolderReader, index: int, album: Album) -> None:
-    surface = folder.cycles[index].surface
-    if surface is not None:
-        first = measured(folder)[0][1]
-        caption = "The same map on the color scale of the first map and on its own scale."
-        album.add(f"{folder.cycles[index].name}-maps", caption, lambda: run_pictures.last_map_picture(surface, first))
-
-
 def _draw_maps(cycle: Cycle, after: ReportSurface | None, album: Album) -> None:
-    """Draw the maps before and after the pass. Without a map after it, the predicted residual is drawn."""
-    before = cycle.surface
-    if before is None:
+    """Draw prediction and map after the pass; without a map after it, the map before it and the prediction."""
+    before, name = cycle.surface, f"{cycle.name}-maps"
+    if after is not None:
+        caption = "Residual that the plan predicted, the next map, and their difference, on one color scale."
+        album.add(name, caption, lambda: run_pictures.prediction_picture(cycle, after))
+    elif before is not None:
+        caption = f"There is no map after the pass. {pictures.MAPS_CAPTION}"
+        album.add(name, caption, lambda: _predicted("Before", before, cycle))
+    else:
         album.missing.append(f"{cycle.name}: no map, so nothing to compare with")
-        return
-    name = f"{cycle.name}-maps"
-    if after is None:
-        caption = (
-            "Measured before the pass, and predicted after it, on one color scale and on its own. There is no map "
-            "after the pass."
-        )
-
-        def predicted() -> Figure:
-            residual = ReportSurface(run_pictures.residual_of(cycle), before.metric_mask, before.pitch_mm)
-            return run_pictures.pass_picture(before, residual, "Predicted")
-
-        album.add(name, caption, predicted)
-        return
-    caption = (
-        "Measured before and after the pass on one color scale, and after it on its own. Line: the clear aperture."
-    )
-    album.add(name, caption, lambda: run_pictures.pass_picture(before, after, "After"))
-    caption = "Residual that the plan predicted, the next map, and their difference, on one color scale."
-    album.add(f"{cycle.name}-prediction", caption, lambda: run_pictures.prediction_picture(cycle, after))
 
 
 def _draw_path(folder: RunFolderReader, index: int, album: Album) -> None:
@@ -331,7 +362,7 @@ def _draw_path(folder: RunFolderReader, index: int, album: Album) -> None:
     if plan.get("curve_s", np.empty(0)).size:
         caption = "Each point is an optimum with its own certificate. More time removes less and less."
         predicted_nm = float((cycle.certificate or {}).get("predicted_rms_nm", np.nan))
-        album.add(f"{name}-curve", caption, lambda: run_pictures.trade_off_picture(plan, predicted_nm), wide=False)
+        album.add(f"{name}-curve", caption, lambda: run_pictures.trade_off_picture(plan, predicted_nm))
     if cycle.executed is None:
         return
     executed_s = cycle.executed.per_point(plan)

@@ -6,11 +6,13 @@ An interrupted pass has no number.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from polishd.rendering.document import DASH, Verdict
+from polishd.model.tolerance import LineResult, line_results
+from polishd.rendering.document import DASH, Cell, DocumentSection, ReportValue, Table, Verdict
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -101,30 +103,101 @@ def passes(rows: Rows) -> str:
     return f"{whole}, and {interrupted_n} interrupted" if interrupted_n else str(whole)
 
 
-def lines(rows: Rows) -> list[list[str]]:
-    """Return a row for each line of the tolerance: name, limit, value of each measurement, result of the last.
+# The drawing's requirement and the result, as all reports state them.
 
-    Empty for a single line that is judged as measured: the table of measurements shows it.
+FORM_FIGURES = ("3/A", "3/B", "3/C")
+RMS_FIGURES = ("RMSt", "RMSi", "RMSa")
+PSD_NOTE = (
+    "A PSD line is the A of A / f^B by ISO 10110-8:2010, for the radially averaged two-dimensional PSD, not for "
+    "profiles."
+)
+
+
+def requirement(
+    last: Sequence[LineResult], key: str, before: Sequence[LineResult] = (), before_key: str = ""
+) -> Iterator[DocumentSection]:
+    """Yield a section with limit, value, uncertainty and result of each line; nothing without a tolerance.
+
+    Args:
+        last: results of the map that decides.
+        key: of their list in the report's JSON.
+        before: results of the first map; empty: the part was measured once.
+        before_key: of those.
     """
-    judged = [[one for one in row.get("judged") or () if isinstance(one, Mapping)] for row in rows]
-    if not judged or (len(judged[-1]) < 2 and not any(figure(one.get("bound"), "g") for one in judged[-1])):
-        return []
-    values = [{one.get("what"): one for one in measured} for measured in judged]
-    return [
-        [
-            text(line.get("what")),
-            f"{figure(line.get('limit'), 'g')} {text(line.get('unit'))}",
-            *(figure(found.get(line.get("what"), {}).get("value"), ".3g") or DASH for found in values),
-            ("yes" if line.get("holds") else "no") + _uncertainty(line),
-        ]
-        for line in judged[-1]
+    if not last:
+        return
+    first = {one.what: _value(one, f"{before_key}.{at}") for at, one in enumerate(before)}
+    rows = [
+        (
+            symbols(one.what),
+            symbols(one.unit),
+            ReportValue(f"{one.limit:g}", f"{key}.{at}.limit", one.limit),
+            *((first.get(one.what, DASH),) if before else ()),
+            _value(one, f"{key}.{at}"),
+            _uncertainty(one, f"{key}.{at}"),
+            "undecided, " * one.unsure + ("pass" if one.holds else "fail"),
+        )
+        for at, one in enumerate(last)
     ]
+    measured = ("before", "after") if before else ("measured",)
+    table = Table(("requirement", "unit", "limit", *measured, "±, or bound", "result"), rows)
+    yield DocumentSection("Requirement and result", [table], list(_requirement_notes(last)))
+
+
+def _value(one: LineResult, key: str) -> ReportValue:
+    return ReportValue(f"{one.value:.4g}", f"{key}.value", one.value)
+
+
+def _uncertainty(one: LineResult, key: str) -> Cell:
+    """Return the bound that a line was judged by, or else the uncertainty of the instrument."""
+    if one.bound is not None:
+        return f"at most {one.bound:.3g}"
+    known = one.uncertainty
+    return "not known" if known is None else ReportValue(f"{known:.2g}", f"{key}.uncertainty", known)
+
+
+def _requirement_notes(last: Sequence[LineResult]) -> Iterator[str]:
+    if drawn := indication(last):
+        yield f"In the notation of ISO 10110-5:2015, nm of surface: {drawn}"
+    if any(one.what.startswith("PSD") for one in last):
+        yield PSD_NOTE
+    for one in last:
+        if one.bound is not None:
+            yield f"{symbols(one.what)}: {symbols(one.bound_words)}; judged by this bound."
+    if any(one.unsure for one in last):
+        yield "Undecided: the limit lies within the uncertainty, and either result is possible."
+
+
+def indication(lines: Sequence[LineResult]) -> str:
+    """Return the limits of form as a drawing has them, ``3/A(B/C); RMSi < 5``; empty if no line is of ISO 10110-5."""
+    limits = {one.what: f"{one.limit:g}" for one in lines}
+    a, b, c = (limits.get(name, "-") for name in FORM_FIGURES)
+    inner = f"({b}/{c})" if c != "-" else f"({b})" if b != "-" else ""
+    form = [f"3/{a}{inner}"] if {*FORM_FIGURES} & {*limits} else []
+    return "; ".join([*form, *(f"{name} < {limits[name]}" for name in RMS_FIGURES if name in limits)])
+
+
+def symbols(text: str) -> str:
+    """Return units and formulas with their symbols: µrad, nm², f², ×, ±."""
+    text = re.sub(r"\^([23])(?![\d.])", lambda found: {"2": "²", "3": "³"}[found[1]], text)
+    for plain, symbol in (("urad", "µrad"), (" x ", " × "), ("+-", "±")):
+        text = text.replace(plain, symbol)
+    return text
+
+
+def results(row: Mapping[str, Any]) -> tuple[LineResult, ...]:
+    """Return the results of the tolerance's lines of a measurement; empty if the summary has none, or no numbers."""
+    try:
+        found = line_results(row)
+    except (AttributeError, LookupError, TypeError):
+        return ()
+    return found if all(figure(one.value, "g") and figure(one.limit, "g") for one in found) else ()
 
 
 def tolerance(rows: Rows) -> str:
     """Return the number of lines that the last measurement is within."""
-    judged = [one for one in (rows[-1].get("judged") or () if rows else ()) if isinstance(one, Mapping)]
-    return f"{sum(bool(one.get('holds')) for one in judged)} of {len(judged)} lines hold" if judged else ""
+    judged = results(rows[-1]) if rows else ()
+    return f"{sum(one.holds for one in judged)} of {len(judged)} lines hold" if judged else ""
 
 
 def accepted(summary: Mapping[str, Any], rows: Rows) -> str:
@@ -138,20 +211,48 @@ def accepted(summary: Mapping[str, Any], rows: Rows) -> str:
     return f"{by}; the instrument's system map {system[:12]} is subtracted" if by and system else by
 
 
-def rms_limit(rows: Rows) -> Any:
+def rms_limit(judged: Sequence[LineResult]) -> float | None:
     """Return the limit of the RMS of the whole surface; None if the tolerance has no such line."""
-    judged = (rows[-1].get("judged") or ()) if rows else ()
-    return next((one.get("limit") for one in judged if isinstance(one, Mapping) and one.get("what") == "RMS"), None)
+    return next((one.limit for one in judged if one.what == "RMS"), None)
 
 
-def _uncertainty(line: Mapping[str, Any]) -> str:
-    """Return the bound that a line was judged by, or else the uncertainty of the instrument if it is known."""
-    unit, removed = text(line.get("unit")), text(line.get("removed"))
-    if bound := figure(line.get("bound"), ".3g"):
-        without = f", {removed} removed" if removed else ""
-        return f" (at most {bound} {unit} truly, 95 %; guard band {figure(line.get('guard'), '.2g')} {unit}{without})"
-    sigma = figure(line.get("uncertainty"), ".2g")
-    return f" (± {sigma} {unit})" if sigma else ""
+def psd_limits(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the PSD lines of a summary's tolerance; empty for a summary of an earlier polishd."""
+    lines = summary.get("tolerance")
+    found = [one for one in lines if isinstance(one, Mapping)] if isinstance(lines, list) else []
+    return [one for one in found if one.get("figure") == "psd"]
+
+
+def number(row: Mapping[str, Any], key: str) -> float:
+    """Return a positive figure of a row; NaN if there is none."""
+    value = row.get(key)
+    return float(value) if isinstance(value, int | float) and value > 0 else math.nan
+
+
+def ripple(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the harmonics that the pass after a measurement adds; empty without a forecast."""
+    lines = row.get("ripple")
+    return [one for one in lines if isinstance(one, Mapping)] if isinstance(lines, list) else []
+
+
+def ripple_section(rows: Rows) -> Iterator[DocumentSection]:
+    """Yield the harmonics that each pass adds, and their sum; nothing without a forecast."""
+    keys = ("period_mm", "amplitude_nm", "rms_nm", "rms_high_nm")
+    cells: list[tuple[str, ...]] = []
+    for index, row in enumerate(rows):
+        lines = ripple(row)
+        name = pass_after(rows, index)
+        cells += [
+            (name, plain(one.get("direction")), *(figure(one.get(key), ".2f") or DASH for key in keys)) for one in lines
+        ]
+        if lines:
+            values = [[number(one, key) for one in lines] for key in keys[2:]]
+            whole = [f"{math.hypot(*(value for value in some if value > 0)):.2f}" for some in values]
+            cells.append((name, "all", "", "", *whole))
+    if cells:
+        head = ("pass", "direction", "period, mm", "amplitude, nm", "RMS, nm", "RMS, nm, spot's radius off")
+        note = "Forecast of what the lines of the path leave. The last column is for a spot whose radius is off by 3 %."
+        yield DocumentSection("Ripple that the path adds", [Table(head, cells)], [note])
 
 
 def measurement(rows: Rows, index: int) -> str:

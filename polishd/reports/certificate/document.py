@@ -3,81 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from polishd.maps.map_files import printable
+from polishd.model.tolerance import LineResult
 from polishd.rendering.document import DASH, Chapter, DocumentSection, Picture, ReportDocument, Table, Verdict
-from polishd.rendering.map_plots import (
-    PERCENTILE,
-    ConvergenceStep,
-    Spectrum,
-    convergence,
-    height_limit,
-    height_map,
-    spectrum,
-)
-from polishd.rendering.plots import BLUE, MUTED, figure, png, polishd_style
+from polishd.rendering.map_plots import ConvergenceStep, Spectrum
+from polishd.rendering.plots import png, polishd_style
+from polishd.reports import pictures, wording
 from polishd.reports.certificate.content import CertificateDraft
 from polishd.reports.certificate.model import (
     CertificateMeasurement,
     CertificatePass,
-    CertificateSurface,
     Content,
     HiddenRipple,
     Judgement,
 )
 from polishd.reports.certificate.sources import ReconstructedMap
-from polishd.reports.map_report import editions, of_detail, of_form
+from polishd.reports.map_report import editions, heights_picture, of_detail, of_form
 
-# Pictures: both maps on one scale and on their own, both spectra, and the RMS of each map.
-
-WIDTH_IN = 9.0
-DPI = 160
-"""For a report that may be printed."""
+# Pictures: those of the run report, from the content of the certificate.
 
 
-def maps_picture(before: ReconstructedMap, after: ReconstructedMap) -> Picture:
-    """Draw both maps on the scale of the first, then each on its own scale."""
-    caption = (
-        "Above: both maps on the color scale of the map before. Below: each map on its own scale. Red is high. The "
-        f"colors end at the {PERCENTILE:g}th percentile. Gray: outside the clear aperture, or no data. The RMS above a "
-        "picture is that of the tables, of the same samples and aperture."
-    )
-    with polishd_style():
-        page = figure(WIDTH_IN, 8.2)
-        axes = page.subplots(2, 2)
-        for column, (name, found) in enumerate((("Before", before), ("After", after))):
-            level, pitch_mm = found.figure_nm - np.nanmean(found.figure_nm), found.pitch_mm
-            title = f"{name}: {found.reported.answer['rms_nm']:.2f} nm RMS"
-            height_map(axes[0][column], level, pitch_mm, title, limit_nm=height_limit(before.figure_nm))
-            height_map(axes[1][column], level, pitch_mm, f"{name}, on its own scale")
-        return Picture("maps", caption, png(page, DPI))
-
-
-def both_spectra_picture(before: CertificateSurface, after: CertificateSurface) -> Picture | None:
-    """Draw the PSD of both maps; None if a map does not support it."""
-    if before.psd is None or after.psd is None:
+def _maps(drawn: CertificateDraft) -> Figure | None:
+    """Draw the first map and the last; None without them."""
+    found = [one for one in (drawn.before, drawn.after) if one is not None]
+    if len(found) < 2:
         return None
-    caption = "Radially averaged two-dimensional PSD of both maps over the clear aperture."
+    some = found if len(drawn.content.measurements) > 1 else found[:1]
+    names = ("Before", "After") if len(some) > 1 else ("Measured",)
+    return pictures.maps_figure([_named(name, one) for name, one in zip(names, some, strict=True)], some[0].pitch_mm)
+
+
+def _named(name: str, found: ReconstructedMap) -> pictures.NamedMap:
+    level_nm = found.figure_nm - np.nanmean(found.figure_nm)
+    return pictures.NamedMap(name, level_nm, found.clear, found.reported.answer["rms_nm"])
+
+
+def _spectra(drawn: CertificateDraft) -> Figure | None:
+    """Draw the PSD of both maps with the drawing's limits and the path's ripple; None if no map supports it."""
+    content, folder = drawn.content, drawn.run.folder
+    both = {"before": content.before, "after": content.after}
     curves = {
-        name: Spectrum(psd.frequency_per_mm, psd.density_nm2_mm2)
-        for name, psd in (("before", before.psd), ("after", after.psd))
+        name: Spectrum(found.psd.frequency_per_mm, found.psd.density_nm2_mm2)
+        for name, found in both.items()
+        if found is not None and found.psd is not None
     }
-    with polishd_style():
-        page = figure(WIDTH_IN * 0.7, 3.9)
-        spectrum(page.add_subplot(), curves, "", colors=(MUTED, BLUE))
-        return Picture("spectra", caption, png(page, DPI), wide=False)
+    if not curves:
+        return None
+    ripple_mm = [wording.number(one, "period_mm") for row in folder.rows() for one in wording.ripple(row)]
+    return pictures.spectra_figure(curves, wording.psd_limits(folder.summary), ripple_mm)
 
 
-def maps_convergence(
-    measured: Sequence[CertificateMeasurement], passes: Sequence[CertificatePass], limit_nm: float | None
-) -> Picture:
-    """Draw the RMS of each map and what was expected."""
-    caption = (
-        "RMS of each map. Bars: the range that the plan expected in 9 of 10 cases. Dashed: an interrupted pass, for "
-        "which nothing is expected."
-    )
+def convergence_steps(
+    measured: Sequence[CertificateMeasurement], passes: Sequence[CertificatePass]
+) -> list[ConvergenceStep]:
+    """Return the RMS of each map and what the pass before it was expected to reach."""
     done = {one.cycle: one.planned for one in passes if one.did.how == "done"}
     steps = []
     for index, one in enumerate(measured):
@@ -91,10 +75,13 @@ def maps_convergence(
                 interrupted=index > 0 and planned is None,
             )
         )
-    with polishd_style():
-        page = figure(WIDTH_IN * 0.8, 3.4)
-        convergence(page.add_subplot(), steps, limit_nm)
-        return Picture("convergence", caption, png(page, DPI))
+    return steps
+
+
+def _section(title: str, name: str, caption: str, figure: Figure | None, notes: Sequence[str] = ()) -> DocumentSection:
+    """Return a section with a picture; without pictures if there is no figure."""
+    drawn = [] if figure is None else [Picture(name, caption, png(figure))]
+    return DocumentSection(title, notes=notes, pictures=drawn)
 
 
 GOOD = "in tolerance"
@@ -109,7 +96,14 @@ def certificate_document(drawn: CertificateDraft, signed_by: str) -> ReportDocum
     """
     content = drawn.content
     made_by = f"{content.issuer.program} {content.issuer.version}"
-    chapters = [_front(content, signed_by), *_surface(drawn), _making(content), _proofs(content)]
+    with polishd_style():
+        chapters = [
+            _front(drawn, signed_by),
+            _figures(drawn),
+            *_surface(drawn),
+            _making(content),
+            _proofs(content, signed_by),
+        ]
     return ReportDocument(
         title=f"Certificate {printable(content.number)}",
         chapters=chapters,
@@ -121,22 +115,79 @@ def certificate_document(drawn: CertificateDraft, signed_by: str) -> ReportDocum
     )
 
 
-def _front(content: Content, signed_by: str) -> Chapter:
-    part, verdict, issuer = content.part, content.verdict, content.issuer
+def _front(drawn: CertificateDraft, signed_by: str) -> Chapter:
+    """Return the page with part, requirement, result, maps and convergence."""
+    content = drawn.content
+    part, verdict, issuer, measured = content.part, content.verdict, content.issuer, content.measurements
     interim = "" if verdict.final else " (interim: the job was stopped and can be continued)"
     facts = [
+        ("part", part.id),
+        ("drawing", part.drawing),
+        ("customer", part.customer),
+        ("outline", f"{part.outline}, clear aperture less a rim of {part.edge_mm:g} mm"),
+        ("nominal form", part.form),
+        ("measured", f"{measured[-1].taken:%Y-%m-%d %H:%M} UTC, {measured[-1].name}"),
         ("certificate", content.number),
         ("issued", f"{content.issued:%Y-%m-%d %H:%M} UTC"),
         ("by", issuer.shop),
         ("operator", issuer.operator or "not named"),
-        ("customer", part.customer),
-        ("drawing", part.drawing),
-        ("part", part.id),
-        ("outline", f"{part.outline}, clear aperture less a rim of {part.edge_mm:g} mm"),
-        ("nominal form", part.form),
         ("job", f"{part.job}, ended as: {verdict.outcome}{interim}"),
-        ("last measurement", f"{content.measurements[-1].taken:%Y-%m-%d %H:%M} UTC, {content.measurements[-1].name}"),
+        ("signature", f"key {signed_by}" if signed_by else "not signed"),
     ]
+    maps, steps = _maps(drawn), convergence_steps(measured, content.passes)
+    caption = pictures.MAPS_CAPTION if len(measured) > 1 else pictures.ONE_MAP_CAPTION
+    limit_nm = wording.rms_limit(_results(verdict.lines))
+    once = [] if len(measured) > 1 else ["The part was measured once: before and after are the same map."]
+    parts = [
+        *_requirement(content),
+        _section("Before and after" if len(measured) > 1 else "The map", "maps", caption, maps, once),
+        _section(
+            "RMS in the clear aperture",
+            "convergence",
+            pictures.CONVERGENCE_CAPTION,
+            pictures.convergence_figure(steps, limit_nm) if len(measured) > 1 else None,
+        ),
+    ]
+    label = Verdict("good" if verdict.state == GOOD else "bad", f"{verdict.words}{interim}")
+    return Chapter(f"Certificate of part {printable(part.id)}", _shown(facts), _filled(parts), label)
+
+
+def _filled(sections: Sequence[DocumentSection]) -> list[DocumentSection]:
+    return [one for one in sections if one.tables or one.notes or one.pictures]
+
+
+def _results(lines: Sequence[Judgement]) -> list[LineResult]:
+    return [LineResult.of(one.model_dump()) for one in lines]
+
+
+def _requirement(content: Content) -> Iterator[DocumentSection]:
+    """Yield the tolerance with the results of the first map and of the last."""
+    first = content.measurements[0].lines if len(content.measurements) > 1 else ()
+    last = _results(content.verdict.lines)
+    accepted = {
+        "figure": "The lines are judged by the measured figure.",
+        "bound": "The RMS is judged by the 95 % bound of the true RMS, with the part in its mount.",
+        "bound_without_power": "The RMS is judged by the 95 % bound of the true RMS, power removed.",
+    }[content.uncertainty.accepted]
+    decided = f"Decided by: {wording.symbols(content.verdict.decided_by)}. " if content.verdict.decided_by else ""
+    for one in wording.requirement(last, "verdict.lines", _results(first), "measurements.0.lines"):
+        yield replace(one, notes=[f"{decided}{accepted}", *one.notes])
+
+
+def _figures(drawn: CertificateDraft) -> Chapter:
+    """Return the page with the figures, their uncertainty, the spectra, and the ripple of the last pass."""
+    content = drawn.content
+    parts = [
+        _changes(content),
+        DocumentSection("Uncertainty", notes=content.uncertainty.statements),
+        _section("Power spectra", "spectra", pictures.SPECTRA_CAPTION, _spectra(drawn)),
+        *wording.ripple_section(drawn.run.folder.rows()),
+        *_reach(content),
+    ]
+    return Chapter("Figures", [], _filled(parts))
+
+
+def _signature(signed_by: str) -> DocumentSection:
     signed = (
         f"The JSON file of the same name has the SHA-256 of this PDF and is signed with the key {signed_by}. "
         "polishd certificate verify finds a change of either file."
@@ -144,43 +195,7 @@ def _front(content: Content, signed_by: str) -> Chapter:
         else "Not signed. The JSON file of the same name has the SHA-256 of this PDF. polishd certificate verify finds "
         "an accidental change of either file, but cannot prove the author."
     )
-    once = ["The part was measured once: before and after are the same map."] if len(content.measurements) == 1 else []
-    parts = [
-        _specification(content),
-        DocumentSection("Signature", notes=[signed]),
-        DocumentSection("Uncertainty", notes=[*content.uncertainty.statements, *once]),
-        _changes(content),
-        *_reach(content),
-    ]
-    label = Verdict("good" if verdict.state == GOOD else "bad", f"{verdict.words}{interim}")
-    return Chapter(f"Certificate of part {printable(part.id)}", _shown(facts), parts, label)
-
-
-def _specification(content: Content) -> DocumentSection:
-    first = {line.what: line for line in content.measurements[0].lines}
-    rows = [(line.what, _limit(line), _value(first.get(line.what)), _value(line), *_uncertainty(line)) for line in
-            content.verdict.lines]  # fmt: skip
-    accepted = {
-        "figure": "The lines are judged by the measured figure.",
-        "bound": "The RMS is judged by the 95 % bound of the true RMS, with the part in its mount.",
-        "bound_without_power": "The RMS is judged by the 95 % bound of the true RMS, power removed.",
-    }[content.uncertainty.accepted]
-    decided = f"Decided by: {content.verdict.decided_by.replace('+-', '±')}." if content.verdict.decided_by else ""
-    head = ("line of the drawing", "limit", "before", "after", "±, or bound", "holds")
-    return DocumentSection("Specification and verdict", [Table(head, rows)], [*filter(None, (decided,)), accepted])
-
-
-def _limit(line: Judgement) -> str:
-    return f"{line.limit:g} {line.unit}"
-
-
-def _value(line: Judgement | None) -> str:
-    return DASH if line is None else f"{line.value:.4g}"
-
-
-def _uncertainty(line: Judgement) -> tuple[str, str]:
-    text = f"± {line.uncertainty:.2g}" if line.uncertainty is not None else "not known"
-    return (text if line.bound is None else f"at most {line.bound:.3g}"), "yes" if line.holds else "no"
+    return DocumentSection("Signature", notes=[signed])
 
 
 def _changes(content: Content) -> DocumentSection:
@@ -240,20 +255,19 @@ def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
         ("process grid: in the solve", f"{aperture.solve_samples}, {aperture.grid_pitch_mm:g} mm apart"),
         ("process grid: in the clear aperture", f"{aperture.metric_samples}"),
     ]
-    maps = DocumentSection("Before and after", pictures=[maps_picture(drawn.before, drawn.after)])
-    masks = DocumentSection("Masks", [Table((), rows)])
-    yield Chapter("The surface", [], [maps, masks])
-    both = both_spectra_picture(content.before, content.after)
-    spectra = [] if both is None else [DocumentSection("Power spectra", (), (), [both])]
-    figures = [*of_form(drawn.after.reported.answer), *of_detail(drawn.after.reported, spectrum=False)]
-    yield Chapter("The surface after polishing", [], [*spectra, *figures])
+    after = drawn.after.reported
+    sections = [
+        DocumentSection("Heights", pictures=[heights_picture(after)]),
+        DocumentSection("Masks", [Table((), rows)]),
+        *of_form(after.answer),
+        *of_detail(after, spectrum=False),
+    ]
+    yield Chapter("The surface after polishing", [], sections)
 
 
 def _making(content: Content) -> Chapter:
-    limit = next((line.limit for line in content.verdict.lines if line.what == "RMS"), None)
-    picture = maps_convergence(content.measurements, content.passes, limit)
     parts = [
-        DocumentSection("From map to map", [_measurements(content)], _notes(content), [picture]),
+        DocumentSection("From map to map", [_measurements(content)], _notes(content)),
         _anomalies(content),
         *map(_pass, content.passes),
     ]
@@ -338,11 +352,12 @@ def _anomalies(content: Content) -> DocumentSection:
     return DocumentSection(title, [Table((), _shown(rows))])
 
 
-def _proofs(content: Content) -> Chapter:
+def _proofs(content: Content, signed_by: str) -> Chapter:
     journal = content.journal
     rows = ", ".join(f"{count} of {table}" for table, count in journal.rows.items())
     files = [(file.name, file.sha256) for file in content.files]
     parts = [
+        _signature(signed_by),
         _instrument(content),
         DocumentSection(
             "Versions",
