@@ -1,22 +1,17 @@
-// Small elements of these views. Texts are put in as text, never as markup.
-let number = 0;
+// Small elements of these views.
+import { box, button, made } from "../dom.js";
 
-export function made(tag, kind = "", text) {
-  const one = document.createElement(tag);
-  if (kind) one.className = kind;
-  if (text !== undefined) one.textContent = text;
-  return one;
-}
+let number = 0;
 
 // A labelled choice of a few: a fieldset of radio buttons that looks like one bar.
 export function choice(title, options, chosen, onChoose) {
-  const group = made("fieldset", "m-choice"), name = `choice-${++number}`;
-  group.append(made("legend", "", title));
+  const group = box("fieldset", "m-choice"), name = `choice-${++number}`;
+  group.append(made("legend", title));
   for (const [value, text] of Object.entries(options)) {
     const label = made("label"), input = made("input");
     Object.assign(input, { type: "radio", name, value, checked: value === chosen });
     input.addEventListener("change", () => onChoose(value));
-    label.append(input, made("span", "", text));
+    label.append(input, made("span", text));
     group.append(label);
   }
   group.choose = (value) => { for (const one of group.querySelectorAll("input")) one.checked = one.value === value; };
@@ -24,8 +19,8 @@ export function choice(title, options, chosen, onChoose) {
 }
 
 export function select(title, options, chosen, onChoose) {
-  const label = made("label", "m-field"), input = made("select");
-  label.append(made("span", "", title), input);
+  const label = box("label", "m-field"), input = made("select");
+  label.append(made("span", title), input);
   label.fill = (entries, value) => {
     input.replaceChildren(...Object.entries(entries).map(([key, text]) => new Option(text, key, false, key === String(value))));
     input.value = String(value);
@@ -36,26 +31,25 @@ export function select(title, options, chosen, onChoose) {
 }
 
 export function toggle(title, chosen, onChoose) {
-  const label = made("label", "m-toggle"), input = made("input");
+  const label = box("label", "m-toggle"), input = made("input");
   Object.assign(input, { type: "checkbox", checked: chosen });
   input.addEventListener("change", () => onChoose(input.checked));
-  label.append(input, made("span", "", title));
+  label.append(input, made("span", title));
   return label;
 }
 
-export function button(title, text, onClick) {
-  const one = made("button", "m-button", text);
-  one.type = "button";
-  one.title = title;
-  if (text.length < 3) one.setAttribute("aria-label", title);
-  one.addEventListener("click", onClick);
+// A button with a sign, and its meaning for screen readers.
+export function sign(text, meaning, clicked) {
+  const one = button(text, "m-button", clicked);
+  one.title = meaning;
+  one.setAttribute("aria-label", meaning);
   return one;
 }
 
 // A list of names and values; show([[name, value], ...]).
 export function facts(title) {
-  const box = made("section", "m-facts"), list = made("dl");
-  box.append(made("h3", "", title), list);
+  const box = box("section", "m-facts"), list = made("dl");
+  box.append(made("h3", title), list);
   box.show = (rows) => {
     if (list.children.length !== 2 * rows.length) list.replaceChildren(...rows.flatMap(() => [made("dt"), made("dd")]));
     rows.forEach(([name, value], k) => {
@@ -68,7 +62,7 @@ export function facts(title) {
 }
 
 export function canvas(label, kind = "") {
-  const one = made("canvas", kind);
+  const one = box("canvas", kind);
   one.setAttribute("role", "img");
   one.setAttribute("aria-label", label);
   return one;

@@ -29,15 +29,6 @@ export function contextOf(canvas) {
   const g = canvas.getContext("2d");
   g.setTransform(dpr, 0, 0, dpr, 0, 0);
   g.clearRect(0, 0, width, height);
-  g.font = "12px system-ui, sans-serif";
+  g.font = "12px Inter, system-ui, sans-serif";
   return { g, width, height, dpr };
-}
-
-// The stylesheet of these views, once.
-export function loadStyle(path) {
-  if (document.querySelector(`link[href="${path}"]`)) return;
-  const link = document.createElement("link");
-  link.rel = "stylesheet";
-  link.href = path;
-  document.head.append(link);
 }

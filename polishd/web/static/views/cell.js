@@ -1,33 +1,35 @@
 // The cell: the robot as a stick figure, the part, the path coloured by dwell, and where the tool is.
 import { Camera } from "../maps/camera.js";
 import { figure } from "../maps/colormap.js";
-import { canvas, choice, facts, made, select, toggle } from "../maps/elements.js";
+import { box, made } from "../dom.js";
+import { canvas, choice, facts, select, toggle } from "../maps/elements.js";
 import { drawCell, drawLegend, intoHall, jointsAt, sceneOf } from "../maps/stick_figure.js";
-import { loadStyle, onChange } from "../maps/theme.js";
+import { onChange } from "../maps/theme.js";
 
 const VIEWS = { free: [-0.65, 0.42], top: [0, Math.PI / 2], side: [-Math.PI / 2, 0], front: [0, 0] };
 
+export const styles = ["/maps/maps.css"];
+
 export function mount(root, ctx) {
-  const texts = ctx.texts.cell3d, now = { cycle: null, follow: true, k: 0, block: 0 }, known = { cell: null, why: "", asked: 0 };
+  const texts = ctx.texts.cellView, now = { cycle: null, follow: true, k: 0, block: 0 }, known = { cell: null, why: "", asked: 0 };
   let ended = false;
-  loadStyle("/maps/maps.css");
 
   // elements
-  const view = made("div", "m-view m-cell"), main = made("div", "m-main"), side = made("div", "m-side"), head = made("div", "m-head"), stage = made("div", "m-stage");
-  const message = made("p", "m-message"), problem = made("p", "m-note m-warn"), note = made("p", "m-note"), picture = canvas(texts.canvas), bar = canvas(texts.colour);
+  const view = box("div", "m-view m-cell"), main = box("div", "m-main"), side = box("div", "m-side"), head = box("div", "m-head"), stage = box("div", "m-stage");
+  const message = box("p", "m-message"), problem = box("p", "m-note m-warn"), note = box("p", "m-note"), picture = canvas(texts.canvas), bar = canvas(texts.colour);
   picture.tabIndex = 0;
   picture.setAttribute("role", "application");
   message.setAttribute("role", "status");
   const views = choice(texts.view, texts.views, "free", (name) => camera.look(...VIEWS[name]));
   const cycles = select(texts.pass, {}, "", (cycle) => { now.cycle = Number(cycle); load(); });
   const follow = toggle(texts.follow, true, (on) => { now.follow = on; show(); });
-  const point = made("label", "m-field"), slider = made("input"), card = made("section", "m-card"), numbers = facts(texts.shown), legend = made("section", "m-card");
+  const point = box("label", "m-field"), slider = made("input"), card = box("section", "m-card"), numbers = facts(texts.shown), legend = box("section", "m-card");
   Object.assign(slider, { type: "range", min: "0", step: "1" });
-  point.append(made("span", "", texts.point), slider);
+  point.append(made("span", texts.point), slider);
   slider.addEventListener("input", () => { now.follow = false; follow.querySelector("input").checked = false; now.k = Number(slider.value); show(); });
   bar.style.height = "38px";
   bar.style.width = "100%";
-  legend.append(made("h3", "", texts.colour), bar);
+  legend.append(made("h3", texts.colour), bar);
   card.append(cycles, follow, point);
   stage.append(picture);
   head.append(views);

@@ -1,26 +1,28 @@
 // Maps of a job: the 2-D map with its profiles, or the 3-D surface, of one measurement and the pass after it.
 import { figure, tableOf } from "../maps/colormap.js";
 import { Camera } from "../maps/camera.js";
-import { button, canvas, choice, facts, made, select, toggle } from "../maps/elements.js";
+import { box, button, made } from "../dom.js";
+import { canvas, choice, facts, select, sign, toggle } from "../maps/elements.js";
 import { columnOf, decodeMap, drawHeightMap, profileOf, rowOf, valueAt, wholeView, xOf, yOf } from "../maps/height_map.js";
 import { drawProfile } from "../maps/profile.js";
 import { Surface } from "../maps/surface.js";
-import { loadStyle, onChange } from "../maps/theme.js";
+import { onChange } from "../maps/theme.js";
 
 const CLOSEST = 40, DRAG = 4, QUIET_MS = 700;
 const DIGITS = { height_nm: 2, dwell_s: 4, gamma: 4 };
+
+export const styles = ["/maps/maps.css"];
 
 export function mount(root, ctx) {
   const texts = ctx.texts.maps;
   const now = { kind: "measured", cycle: null, look: "flat", colours: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
   const known = { map: null, path: null, first: null, why: "", asked: 0 };
   let drawn = null, surface = null, ended = false;
-  loadStyle("/maps/maps.css");
 
   // elements
-  const view = made("div", "m-view"), main = made("div", "m-main"), side = made("div", "m-side"), head = made("div", "m-head"), said = made("output", "m-read");
-  const message = made("p", "m-message"), note = made("p", "m-note"), spoken = made("p", "skip");
-  const map = canvas("", "m-map"), flat = canvas("", "m-flat"), upright = canvas("", "m-upright"), corner = made("div", "m-corner"), stage = made("div", "m-stage");
+  const view = box("div", "m-view"), main = box("div", "m-main"), side = box("div", "m-side"), head = box("div", "m-head"), said = box("output", "m-read");
+  const message = box("p", "m-message"), note = box("p", "m-note"), spoken = box("p", "unseen");
+  const map = canvas("", "m-map"), flat = canvas("", "m-flat"), upright = canvas("", "m-upright"), corner = box("div", "m-corner"), stage = box("div", "m-stage");
   const mesh = canvas("", ""), labels = canvas("", "");
   message.setAttribute("role", "status");
   spoken.setAttribute("aria-live", "polite");
@@ -28,13 +30,13 @@ export function mount(root, ctx) {
   for (const one of [map, labels]) one.setAttribute("role", "application");
   mesh.setAttribute("aria-hidden", "true");
   stage.append(mesh, labels);
-  corner.append(button(texts.zoomIn, "+", () => zoom(1.5)), button(texts.zoomOut, "\u2212", () => zoom(1 / 1.5)), button(texts.whole, texts.whole, whole));
+  corner.append(sign("+", texts.zoomIn, () => zoom(1.5)), sign("\u2212", texts.zoomOut, () => zoom(1 / 1.5)), button(texts.whole, "m-button", whole));
   const kinds = choice(texts.show, texts.kinds, now.kind, (kind) => { now.kind = kind; load(); });
   const looks = choice(texts.title, { flat: texts.flat, solid: texts.solid }, now.look, (look) => { now.look = look; arrange(); });
   const cycles = select(texts.pass, {}, "", (cycle) => { now.cycle = Number(cycle); load(); });
   const redraw = (key) => (value) => { now[key] = value; if (key === "ends" && value === "first") load(); else show(); };
-  const card = made("section", "m-card"), options = made("section", "m-card"), numbers = facts(texts.figures), place = facts(texts.here);
-  const relief = made("label", "m-field"), slider = made("input"), times = made("span");
+  const card = box("section", "m-card"), options = box("section", "m-card"), numbers = facts(texts.figures), place = facts(texts.here);
+  const relief = box("label", "m-field"), slider = made("input"), times = made("span");
   Object.assign(slider, { type: "range", min: "0.1", max: "3", step: "0.05", value: "1" });
   relief.append(times, slider);
   slider.addEventListener("input", () => { now.relief = Number(slider.value); show(); });
