@@ -30,8 +30,9 @@ from polishd.rendering.document import (
     html,
     pdf,
 )
-from polishd.rendering.map_plots import PERCENTILE, Spectrum, height_limit, height_map, profiles, spectrum, value_map
+from polishd.rendering.map_plots import Spectrum, height_map, profiles, spectrum, value_map
 from polishd.rendering.plots import BLUE, INK, ORANGE, figure, png, polishd_style
+from polishd.rendering.scales import PERCENTILE, height_limit
 from polishd.rendering.terminal import json_line, say, stdout
 from polishd.reports.map_figures import MapReportData, MapReportOptions, reported
 from polishd.util.files import write_atomic

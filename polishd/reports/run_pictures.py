@@ -14,13 +14,11 @@ from matplotlib.figure import Figure
 
 from polishd.process.metrology.spectra import radial_psd
 from polishd.rendering.map_plots import (
-    PERCENTILE,
     ConvergenceStep,
     Spectrum,
     color_bar,
     convergence,
     empty_panel,
-    height_limit,
     height_map,
     histogram,
     path_map,
@@ -29,6 +27,7 @@ from polishd.rendering.map_plots import (
     spectrum,
 )
 from polishd.rendering.plots import BLUE, GREEN, MUTED, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.scales import PERCENTILE, height_limit
 from polishd.reports import wording
 from polishd.reports.run_reader import Arrays, BoolArray, Cycle, FloatArray, ReportSurface
 from polishd.util.files import write_atomic

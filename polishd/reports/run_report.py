@@ -24,8 +24,8 @@ from polishd.rendering.document import (
     Verdict,
     html,
 )
-from polishd.rendering.map_plots import PERCENTILE
 from polishd.rendering.plots import png, polishd_style
+from polishd.rendering.scales import PERCENTILE
 from polishd.reports import run_pictures, wording
 from polishd.reports.run_pictures import write_removal_check
 from polishd.reports.run_reader import Cycle, ReportSurface, RunFolderReader, read_folder

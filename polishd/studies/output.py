@@ -26,7 +26,8 @@ from polishd.rendering.map_plots import (
     spectrum,
     value_map,
 )
-from polishd.rendering.plots import BLUE, DIVERGING, NO_DATA, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.plots import BLUE, NO_DATA, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.scales import DIVERGING
 from polishd.rendering.terminal import figure_table, key_table
 from polishd.studies.case_runner import LoopRow, LoopRows
 from polishd.studies.corrections import (

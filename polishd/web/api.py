@@ -20,6 +20,7 @@ from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
+from polishd.web.map_data import MapRequest
 from polishd.web.run_data import RunData
 from polishd.web.watcher import Watcher
 
@@ -92,7 +93,6 @@ MOST_WATCHERS = 200
 MOST_OF_USER = 10
 """Largest number of event streams of one user, one for each page."""
 MOST_NUMBER = 1 << 53
-MAPS = ("measured", "predicted", "removal")
 
 
 class Api:
@@ -160,10 +160,12 @@ class Api:
 
     async def map(self, request: Request, _session: HttpSession) -> Any:
         """A map as an array."""
-        kind = request.path_params["kind"]
-        if kind not in MAPS:
-            raise ConfigError("there is no such map: measured, predicted or removal")
-        return await asyncio.to_thread(self._disk.map, *_cycle(request), kind)
+        wanted = MapRequest.of(request.path_params["kind"], request.query_params)
+        return await asyncio.to_thread(self._disk.map, *_cycle(request), wanted)
+
+    async def cell(self, request: Request, _session: HttpSession) -> Any:
+        """Joints of the robot along a plan, its path, and the part."""
+        return await asyncio.to_thread(self._disk.cell, *_cycle(request), self._config)
 
     async def psd(self, request: Request, _session: HttpSession) -> Any:
         """Spectrum of a measured map."""

@@ -19,11 +19,12 @@ from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.model.errors import PolishdError
 from polishd.util.extras import missing_message
-from polishd.web.api import MAPS, MOST_NUMBER, Api
+from polishd.web.api import MOST_NUMBER, Api
 from polishd.web.http import server as door
 from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, answered, hosts_of, refusal
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
+from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
 from polishd.web.watcher import polling_daemon
 
 # The table of routes: handler and required role.
@@ -31,6 +32,7 @@ from polishd.web.watcher import polling_daemon
 Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
 
 AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
+AT_MAP = AT_CYCLE + "/map/{kind}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +63,10 @@ ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
     ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
-    ApiRoute("GET", AT_CYCLE + "/map/{kind}", WATCH, "a map as an array: `measured`, `predicted`, `removal`", Api.map),
+    ApiRoute("GET", AT_MAP, WATCH, f"a map as an array: {', '.join(f'`{kind}`' for kind in MAP_KINDS)}", Api.map),
     ApiRoute("GET", AT_CYCLE + "/psd", WATCH, "power over spatial frequency of the measured map", Api.psd),
     ApiRoute("GET", AT_CYCLE + "/plan", WATCH, "the path, its dwell, compliance and gamma", Api.plan),
+    ApiRoute("GET", AT_CYCLE + "/cell", WATCH, "the robot's joints along the plan, its path and the part", Api.cell),
     ApiRoute("GET", AT_CYCLE + "/certificate", WATCH, "what the dwell's solver proved", Api.certificate),
     ApiRoute("GET", "/api/history", WATCH, "what became of the cell's parts", Api.history),
     ApiRoute("GET", "/api/journal", WATCH, "what happened and who ordered it, newest first; `?before=N`", Api.journal),
@@ -165,12 +168,16 @@ def _operation(route: ApiRoute) -> dict[str, Any]:
         "description": f"Needs the role {route.role.value}, or more.",
         "responses": _responses(stream=route.path == "/api/events", order=route.method == "POST"),
         "parameters": [
-            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else {"enum": list(MAPS)}}
+            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else {"enum": list(MAP_KINDS)}}
             for name, number in names
         ],
     }
     if route.path == "/api/journal":
         found["parameters"].append({"name": "before", "in": "query", "schema": NUMBER})
+    if route.path == AT_MAP:
+        px = {"type": "integer", "minimum": LEAST_PX, "maximum": max(ENCODINGS.values())}
+        for name, schema in (("px", px), ("encoding", {"enum": list(ENCODINGS)})):
+            found["parameters"].append({"name": name, "in": "query", "schema": schema})
     if route.fields:
         properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]

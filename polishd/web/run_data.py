@@ -7,19 +7,22 @@ from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polishd.config.cell import CellConfig
+from polishd.config.job_file import JobFile
 from polishd.daemon.journal.history import naming_damage, read_events, read_history, read_only
 from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME
 from polishd.daemon.journal.store import ArrayStore
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, JournalDamage
 from polishd.process.metrology.spectra import radial_psd
 from polishd.util.serialization import plain
+from polishd.web.cell_figure import CellFigures
+from polishd.web.map_data import MapRequest, picture
 
-MOST_SAMPLES = 128
-"""Most samples of a map along either side."""
 MOST_POINTS = 4000
 """Most points of a path."""
 MOST_ROWS = 500
@@ -38,12 +41,17 @@ ALARMS: Mapping[str, tuple[str, str, str]] = {
 """By event: severity, key of the detail, and default advice."""
 
 
+class NoSuchRow(ConfigError):
+    """The journal has no such job and cycle, or it has no such arrays."""
+
+
 class RunData:
     """Data of one cell."""
 
     def __init__(self, state_dir: Path) -> None:
         self._state_dir = state_dir
         self._store = ArrayStore(state_dir / ARRAYS_NAME)
+        self._figures = CellFigures()
 
     def jobs(self) -> list[dict[str, Any]]:
         """All jobs, the newest last."""
@@ -74,22 +82,30 @@ class RunData:
             facts = self._one("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
             return dict(json.loads(facts[0])["certificate"])
 
-    def map(self, job: int, cycle: int, kind: str) -> dict[str, Any]:
-        """A map as an array: ``measured``, ``predicted`` (expected result) or ``removal`` (expected removal)."""
-        name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
-        surface = self._store.get(name)
-        if kind == "measured":
-            height = surface["height_nm"]
-        else:
+    def map(self, job: int, cycle: int, request: MapRequest) -> dict[str, Any]:
+        """A map as an array: see `map_data.MAP_KINDS`."""
+        surface, plan, after = self._surface(job, cycle), None, None
+        if request.kind != "measured":
             plan = self._plan(job, cycle)
-            height = plan["residual_nm" if kind == "predicted" else "predicted_removal_nm"]
-        mask = surface["metric_mask"]
-        return _picture(np.where(mask, height, np.nan), float(surface["pitch_mm"]))
+        if request.kind == "residual":
+            try:
+                after = self._surface(job, cycle + 1)
+            except NoSuchRow:
+                raise NoSuchRow(f"there is none of that job and cycle: no measurement after pass {cycle} yet") from None
+        return picture(request, surface, plan, after)
+
+    def cell(self, job: int, cycle: int, config: CellConfig) -> dict[str, Any]:
+        """Robot, part and path of a cycle's plan in the robot's base frame, with the job's own configuration."""
+        with naming_damage(self._state_dir):
+            name, facts = self._one("SELECT plan, facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
+            tool = str(json.loads(facts).get("tool", ""))
+        for path, content in self._rows("SELECT path, content FROM queue WHERE job = ?", job):
+            config = JobFile(Path(path), content).laid_over(config)
+        return self._figures.of((name, tool, job), config.of_tool(tool) if tool else config, self._arrays(name))
 
     def psd(self, job: int, cycle: int) -> dict[str, Any]:
         """Spectrum of the measured map in its clear aperture: 1/mm and nm^2 mm^2."""
-        name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
-        surface = self._store.get(name)
+        surface = self._surface(job, cycle)
         found = radial_psd(surface["height_nm"], surface["metric_mask"], float(surface["pitch_mm"]))
         density = _rounded(found.density_nm2_mm2, 6)
         return {"frequency_per_mm": _rounded(found.frequency_per_mm, 5), "power_nm2_mm2": density}
@@ -149,14 +165,25 @@ class RunData:
             measured = [dict(json.loads(stats)) for (stats,) in self._rows(sql)]
         return {"parts": dict(parts), "passes": dict(passes), "measured": measured[0] if measured else None}
 
+    def _surface(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:
+        """Arrays of the last measurement of a cycle."""
+        name = self._one("SELECT arrays FROM map WHERE job = ? AND cycle = ? ORDER BY id DESC", job, cycle)[0]
+        return self._arrays(name)
+
     def _plan(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:
-        name = self._one("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)[0]
-        return self._store.get(name)
+        return self._arrays(self._one("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)[0])
+
+    def _arrays(self, name: str) -> dict[str, NDArray[Any]]:
+        """Arrays of the store. JournalDamage names a file that is missing or is not what was written."""
+        try:
+            return self._store.get(name)
+        except (ConfigError, ValueError, EOFError, OSError, BadZipFile) as error:
+            raise JournalDamage(f"arrays {name[:12]}: {error}") from error
 
     def _one(self, sql: str, *values: Any) -> tuple[Any, ...]:
         found = self._rows(sql, *values)
         if not found or not found[0][0]:
-            raise ConfigError("there is none of that job and cycle")
+            raise NoSuchRow("there is none of that job and cycle")
         return found[0]
 
     def _rows(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
@@ -178,16 +205,6 @@ def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
     data = event["data"]
     known = {key: event[key] for key in ("number", "at_s", "cycle", "name")}
     return {**known, "severity": severity, "what": str(data.get(field, "")), "todo": data.get("next") or todo}
-
-
-def _picture(height_nm: NDArray[np.float64], pitch_mm: float) -> dict[str, Any]:
-    """Rows from the top; null: no data. Thinned, not smoothed: a spike stays a spike, or is not shown."""
-    step = max(1, -(-max(height_nm.shape) // MOST_SAMPLES))
-    thin = height_nm[::step, ::step]
-    valid = thin[np.isfinite(thin)]
-    rows = [[None if np.isnan(one) else round(float(one), 3) for one in row] for row in thin]
-    spread = (float(valid.min()), float(valid.max())) if valid.size else (0.0, 0.0)
-    return {"height_nm": rows, "pitch_mm": pitch_mm * step, "low_nm": spread[0], "high_nm": spread[1]}
 
 
 def _rounded(values: NDArray[np.float64], digits: int) -> list[float | None]:

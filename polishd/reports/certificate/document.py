@@ -8,16 +8,9 @@ import numpy as np
 
 from polishd.maps.map_files import printable
 from polishd.rendering.document import DASH, Chapter, DocumentSection, Picture, ReportDocument, Table, Verdict
-from polishd.rendering.map_plots import (
-    PERCENTILE,
-    ConvergenceStep,
-    Spectrum,
-    convergence,
-    height_limit,
-    height_map,
-    spectrum,
-)
+from polishd.rendering.map_plots import ConvergenceStep, Spectrum, convergence, height_map, spectrum
 from polishd.rendering.plots import BLUE, MUTED, figure, png, polishd_style
+from polishd.rendering.scales import PERCENTILE, height_limit
 from polishd.reports.certificate.content import CertificateDraft
 from polishd.reports.certificate.model import (
     CertificateMeasurement,
