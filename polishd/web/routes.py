@@ -6,7 +6,6 @@ import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 from starlette.applications import Starlette
@@ -23,6 +22,7 @@ from polishd.web.api import MOST_NUMBER, Api
 from polishd.web.http import server as door
 from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.static_files import static_files
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
 from polishd.web.part_history import MOST_PAGE, RESULTS, SORTS
@@ -228,21 +228,6 @@ def _responses(*, stream: bool = False, order: bool = False) -> dict[str, Any]:
     return {"200": good, **later, **{code: {"description": why, "content": error} for code, why in REFUSALS.items()}}
 
 
-FILES = {
-    "/": ("index.html", "text/html"),
-    "/page.css": ("page.css", "text/css"),
-    "/page.js": ("page.js", "text/javascript"),
-    "/draw.js": ("draw.js", "text/javascript"),
-    "/strings.js": ("strings.js", "text/javascript"),
-    "/views/queue.js": ("views/queue.js", "text/javascript"),
-    "/views/history.js": ("views/history.js", "text/javascript"),
-    "/views/approve.js": ("views/approve.js", "text/javascript"),
-    "/views/shop.css": ("views/shop.css", "text/css"),
-    "/views/shop.js": ("views/shop.js", "text/javascript"),
-}
-"""All files beside the API, by path: no other file is served."""
-
-
 def application(config: CellConfig, certificate: Certificate | None = None) -> ASGIApp:
     """Application of a cell; its users are read at each request. ``certificate``: of this server."""
     sessions = SessionStore(UserFile(users_path(config)))
@@ -265,7 +250,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
         Path("/api/session", sign_in, methods=["POST"]),
         Path("/api/openapi.json", described, methods=["GET"]),
         *(Path(route.path, _endpoint(api, rate, route), methods=[route.method]) for route in _metrics(config)),
-        *(Path(path, _file(*file), methods=["GET"]) for path, file in FILES.items()),
+        *(Path(path, file.answer, methods=["GET"]) for path, file in static_files().items()),
     ]
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=HANDLERS)
     return RequestGuard(app, hosts_of(config.web))
@@ -311,12 +296,3 @@ def _metrics(config: CellConfig) -> Iterator[ApiRoute]:
         raise config.error("web.metrics", missing_message("GET /metrics", "metrics") + ", or remove the key") from error
     metrics = Metrics(config)
     yield ApiRoute("GET", "/metrics", Role.WATCH, "figures for Prometheus", metrics.answer)
-
-
-def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
-    content = (resources.files("polishd.web") / "static" / name).read_bytes()
-
-    async def answer(_request: Request) -> Response:
-        return Response(content, media_type=f"{kind}; charset=utf-8")
-
-    return answer

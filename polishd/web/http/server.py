@@ -89,13 +89,14 @@ BODY_S = 5.0
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-        "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+        "font-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
     ),
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "x-frame-options": "DENY",
-    "cache-control": "no-store",
 }
+CACHING = {"cache-control": "no-store"}
+"""Of every answer that does not say otherwise, as the page's files do."""
 
 
 def hosts_of(web: WebSection) -> set[str]:
@@ -120,6 +121,8 @@ class RequestGuard:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers[name] = value
+                for name, value in CACHING.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         headers = Headers(scope=scope)

@@ -1,42 +1,43 @@
-// All English texts of the page. Another language is another file of these names.
+// All English texts of the page, by view. Another language is another file of these names.
 export const texts = {
-  skip: "To what happens now", token: "Your token", signIn: "Sign in", signOut: "Sign out", orders: "Orders",
-  reason: "Reason (is journalled)", hold: "Hold", stop: "Stop", resume: "Resume", approve: "Approve plan",
-  noEstop: "Hold and Stop are not an emergency stop: in danger press the button at the machine.",
-  now: "Now, and next", alarms: "Alarms", acknowledge: "Acknowledge all shown", live: "Live", what: "What", value: "Value",
-  old: "Age", map: "Map", shown: "Shown", passes: "Convergence", plan: "Dwell, compliance and gamma along the path",
-  queue: "Queue", journal: "Who ordered what, and what happened",
+  // the shell
+  skip: "To the content", token: "Your token", signIn: "Sign in", signOut: "Sign out", signInTo: "Polishing cell",
+  tokenFrom: "A token is made with: polishd web CELL.toml --add-user NAME --role ROLE",
+  tabs: { dashboard: "Dashboard", maps: "Maps", cell: "Cell", queue: "Queue", history: "History", host: "Host" },
+  settings: "Settings", theme: "Colours", themes: { auto: "System", light: "Light", dark: "Dark" },
+  sound: "Alarm sound", sounds: { on: "On", off: "Off" }, soundTest: "Test the sound", silence: "Silence", soundBlocked: "The browser plays no sound before you click on the page once.",
+  soundPlayed: "Three tones were played. Heard nothing? Check the volume of this device.",
+  hold: "Hold", stop: "Stop", resume: "Resume", approve: "Approve plan", acknowledge: "Acknowledge", show: "Show",
+  reason: "Reason (is journalled)", noEstop: "Hold and Stop are not an emergency stop. In danger press the emergency stop at the machine.",
+  cancel: "Cancel",
+  stopAsk: ["End the run too?", "The cell was ordered to hold: the tool leaves the part now.",
+    "End the run: the daemon ends. It must be started again at the computer of the cell (polishd run).",
+    "Stay held: the job goes on after Resume."],
+  stopHeld: ["End the run?", "The cell is not in contact. The daemon ends, and must be started again at the computer of the cell (polishd run)."],
+  stopYes: "End the run", stopNo: "Stay held",
+  resumeAsk: ["Resume?", "The robot moves, and the cell goes on without another question.", "Check that no person is in the cell."],
   wrongToken: "This token is not valid.", locked: "Too many wrong tokens: wait a minute.",
   lostPage: "No connection to the page's server. What is shown is from before.",
   lostDaemon: "NO DAEMON RUNS. What is shown is from before. Go to the cell.",
   silentDaemon: "The daemon does not answer. What is shown is from before. Hold and Stop are still tried.",
   sent: "sent", obeyed: "obeyed", notYet: "given; not obeyed yet", refused: "refused",
-  noAlarm: "None.", first: "came first", noQueue: "No job waits.", empty: "nothing yet", never: "never", none: "no reading",
-  does: {
-    starting: "It opens its devices and makes them safe.", idle: "It waits for a job, or makes one ready.",
-    changing: "The part is being changed.", polishing: "It works on the part.", held: "It is held: safe, and waiting for a person.",
-    finished: "The job is over.",
-  },
-  phase: { measure: "It measures the part.", learn: "It compares the last pass with its plan.",
-    solve: "It computes the dwell.", plan: "It makes the program.", run: "It polishes.", clean: "The part is cleaned.", settle: "It waits until the part has settled.", change: "The tool is changed.",
-    condition: "The pad is conditioned.", touch_off: "It feels how the part sits." },
-  soon: { measure: "Next: learn from the last pass, and plan.", learn: "Next: compute the dwell.",
-    solve: "Next: make the program.", plan: "Next: polish.", run: "Next: measure again." },
-  leaving: (why) => `The tool is being lifted: ${why}`,
-  waits: "A plan waits for approval; nothing moves before.",
-  part: "Part", job: "Job", cycle: "cycle", block: "block",
-  age: (s) => (s === null || s === undefined ? "never" : s < 60 ? `${s.toFixed(1)} s ago` : `${Math.round(s / 60)} min ago`),
-  kinds: { measured: "measured now", before: "before (first measurement)", predicted: "predicted after the pass", removal: "planned removal" },
-  columns: ["Cycle", "RMS nm", "PV nm", "LSF nm", "Predicted nm", "Pass"],
-  names: { force: "Force", speed: "Speed", sensed: "Force sensor", robot: "Robot", buffer: "Motion buffered" },
-  charts: { force: "Force, N", speed: "Speed, rpm", convergence: "RMS by measurement, nm (rings: predicted)",
-    psd: "PSD, nm² mm² over 1/mm (log)", dwell: "Dwell along the path, s", compliance: "Compliance, µm/N", gamma: "Gamma" },
-  health: { loop_lag_s: ["Contact loop late", "s"], journal_s: ["Not yet saved", "s"], state_disk_mb: ["Disk free, journal", "MB"],
-    run_disk_mb: ["Disk free, run folder", "MB"], state_disk_files: ["Inodes free, journal", "files"],
-    run_disk_files: ["Inodes free, run folder", "files"], memory_mb: ["Memory free", "MB"] },
-  devices: (name) => `Last heard: ${name}`,
-  figure: (value) => value >= 100 ? Math.round(value).toLocaleString("en") : Number(value.toPrecision(2)).toString(),
-  touches: "tool on the part", off: "tool off the part",
-  range: (low, high) => `${low.toFixed(1)} to ${high.toFixed(1)} nm`,
-  tool: "ring: where the tool is",
+  moreAlarms: (count) => (count > 0 ? ` (and ${count} more)` : ""),
+  lastOrder: (order, by, at) => `Last order: ${order} by ${by}, ${at}`,
+  byUnknown: "an unnamed client",
+  noView: "This view is not part of this version of the page.",
+  age: (s) => (s === null || s === undefined ? "no data yet" : s < 1.5 ? "live" : s < 60 ? `${Math.round(s)} s old` : `${Math.round(s / 60)} min old`),
+  states: { starting: "Starting", idle: "Ready", changing: "Part change", polishing: "Working", held: "Held", finished: "Finished" },
+  approval: "Waits for approval", attention: "needs you",
+
+  // dashboard
+
+  // maps
+
+  // cell
+
+  // queue
+
+  // history
+
+  // host
 };
