@@ -8,7 +8,7 @@ import { clock } from "./format.js";
 import { sound } from "./sound.js";
 import { texts } from "./strings.js";
 
-const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"];
+const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"], PANELS = ["approve"]; // panels have no tab
 const LOST_MS = 1200, SAID_MS = 15_000;
 const known = { session: null, state: null, heard: 0, cell: "", jobs: [], cycles: [], alarms: [], journal: [], heardAlarm: null };
 let stream = null;
@@ -90,7 +90,7 @@ function leave() {
 async function route(again = false) {
   if (!known.session) return;
   const name = location.hash.slice(1).split("?")[0] || "dashboard";
-  if (!VIEWS.includes(name)) { location.replace("#dashboard"); return; }
+  if (![...VIEWS, ...PANELS].includes(name)) { location.replace("#dashboard"); return; }
   if (name === viewName && !again) { view?.refresh?.(); return; }
   const moved = viewName !== "";
   leave();
