@@ -32,8 +32,43 @@ export const texts = {
   // dashboard
 
   // maps
+  maps: {
+    title: "Maps", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colours: "Colours", ends: "Colours end at", outside: "Outside the clear aperture",
+    kinds: { measured: "Measured", predicted: "Predicted", residual: "Residual", removal: "Removal", dwell: "Dwell", gamma: "Gamma" },
+    about: {
+      measured: "Heights that the instrument measured, mean removed.", predicted: "Surface that the plan of this pass expects.",
+      residual: "Next measurement less the plan's prediction.", removal: "Removal that the plan of this pass expects.",
+      dwell: "Dwell time of the nearest point of the path.", gamma: "Depth ratio at the nearest point of the path: 1 is a rigid robot.",
+    },
+    tables: { auto: "As in the reports", diverging: "Blue, white, red", cividis: "Cividis", viridis: "Viridis", gray: "Gray" },
+    scales: { auto: "99.5 % of the values", full: "Least and greatest", first: "As the first measurement" },
+    hide: { dim: "Pale", hide: "Hidden", show: "Full colour" },
+    path: "Path of the tool", smooth: "Interpolate between samples", outline: "Edge of the clear aperture",
+    zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", here: "Cursor", figures: "In the clear aperture",
+    names: { pv: "PV", rms: "RMS", low: "Least", high: "Greatest", mean: "Mean", pitch: "Sample pitch", size: "Samples", zoom: "Zoom" },
+    cycle: (number, rms) => `${number}: ${rms}`, first: "before polishing", after: (number) => `after pass ${number}`,
+    noJob: "There is no measurement yet.", none: "There is no such map", noData: "no data here", inside: "in the clear aperture", beyond: "outside the clear aperture",
+    oldPlan: "The daemon keeps the plan of a job until the next job begins.",
+    canvas: (kind, unit) => `Map, ${kind}${unit ? `, ${unit}` : ""}. Arrow keys move the cursor, with Shift ten samples. Plus, minus: zoom. 0: all.`,
+    solidCanvas: (kind) => `Surface, ${kind}. Arrow keys turn it, with Shift they shift it. Plus, minus: zoom. 0: from the start.`,
+    profile: (axis, other, at) => `Profile along ${axis} at ${other} = ${at} mm`,
+    keys: "Move over the map, tap it or use the arrow keys to read it. Wheel, pinch, + and − zoom; drag a zoomed map.",
+    solidKeys: "Drag or arrow keys turn the surface; with Shift they shift it. Wheel, pinch, + and − zoom; 0 starts again.",
+    height: "Vertical exaggeration", times: (value) => `${value} ×`, relief: (value) => `${value} of the start`,
+    noWebgl: "This browser has no WebGL 2, which the 3-D surface needs. The 2-D map shows the same data.",
+  },
 
   // cell
+  cellView: {
+    title: "Cell", canvas: "Robot, part and path. Arrow keys turn the view, with Shift they shift it. Plus, minus: zoom. 0: from the start.",
+    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", pass: "Pass", follow: "Follow the tool", point: "Point of the path",
+    colour: "Dwell per point", block: "Block", tip: "Tip, base frame", now: "Tool now", shown: "Shown", state: "Contact", robot: "Robot",
+    robots: { hybrid: "hybrid, 3 UPS and UP with C/A wrist", serial: "six-axis arm", measured: "measured compliance, no kinematics" },
+    on: "tool on the part", off: "tool off the part", notRunning: "no pass runs", rim: "part", noPlan: "There is no plan yet.",
+    nominal: "Stick figure from the cell's kinematics, at nominal poses: the calibrated seat of the part and the tool's deflection are not in it.",
+    keys: "Drag or arrow keys turn the view; with Shift they shift it. Wheel, pinch, + and − zoom; 0 starts again.",
+    link: { base: "base", limb: "limb", arm: "arm", platform: "platform", tool: "tool" },
+  },
 
   // queue
   queue: {
