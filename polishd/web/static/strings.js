@@ -121,7 +121,7 @@ export const texts = {
     worst: "Nearest line of the tolerance", faults: "Faults", reason: "Reason", noPart: "This part cannot be shown:",
     convergence: "Convergence", measured: "Measured", predicted: "Predicted", expected: "expected (90 %)", rms: "RMS, nm", measurement: "Measurement",
     passTable: "Passes", passColumns: ["Pass", "Before", "Predicted", "Expected", "After", "After / predicted", "Removal", "Ripple", "Contact", "Program", "Approved by"],
-    noPasses: "No pass was made.", mapsTitle: "Measured maps", mapOf: (n, rms) => `Measurement ${n}: ${rms}`, oneScale: "One color scale",
+    noPasses: "No pass was made.", mapsTitle: "Measured maps", mapOf: (n, rms) => `Measurement ${n}: ${rms}`, oneScale: "One color scale", ownScales: "A scale for each",
     mapMissing: "No map is stored for this measurement.", lines: "Tolerance", line: "Line", value: "Value", limit: "Limit", holds: "Result", within: "holds", beyond: "exceeds",
     files: "Files", certificate: (number) => `Certificate ${number}`, json: "JSON", pdf: "PDF", report: "Report", signed: (key) => `signed, key ${key}`, notSigned: "not signed",
     noCertificate: "No certificate is in the run folder. Make one with: polishd certificate make CELL.toml --job JOB",
@@ -131,7 +131,7 @@ export const texts = {
   },
 
   // approval
-  approval: {
+  planApproval: {
     title: (cycle, part) => `Approve pass ${cycle + 1} of ${part}`, none: "No plan waits for approval.",
     waits: (took) => `It has waited for ${took}. Nothing moves before.`, reading: "The figures of this plan are read from the server.",
     failed: "The figures of this plan cannot be read:", tryAgain: "Try again", noFigures: "This plan has no figures: the daemon is of an earlier version. Approve it at the cell's computer after a look at the run folder.",

@@ -10,7 +10,7 @@ const AGAIN_MS = 700, TRIES = 6;
 const nm = (value) => withUnit(value, "nm");
 
 export function mount(root, ctx) {
-  const t = ctx.texts.approval;
+  const t = ctx.texts.planApproval;
   let wanted = null, plan = null, ends = [], tries = 0, timer = null, gone = false;
   const body = box("div", "approve-page");
   root.append(body);
