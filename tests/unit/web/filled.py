@@ -47,7 +47,7 @@ def figures_of(before_nm: float, after_nm: float, program: str = "") -> dict[str
     """Figures of a plan, as ``plan_figures`` makes them."""
     limits = [
         ("limits.max_removal_nm", 8.0 * before_nm, 1000.0, "nm", False),
-        ("limits.max_pass_s", 1260.0, 86400.0, "s", False),
+        ("limits.max_pass_s", 1260.0 * before_nm / 18, 86400.0, "s", False),
         ("machine.min_feed_mm_s", 1.2, 0.05, "mm/s", True),
         ("machine.max_feed_mm_s", 19.4, 20.0, "mm/s", False),
         ("machine.x_mm", -52.0, -150.0, "mm", True),

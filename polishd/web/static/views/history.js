@@ -253,7 +253,7 @@ export function mount(root, ctx) {
     const download = (name, text) => { const link = made("a", text, "download"); link.href = `/api/jobs/${one.number}/files/${encodeURIComponent(name)}`; link.download = name; return link; };
     if (files && !files.present) body.push(made("p", t.noFolder(files.folder), "note"));
     for (const each of files?.certificates ?? []) {
-      body.push(box("div", "certificate", box("div", "", made("strong", t.certificate(each.number)), made("p", each.verdict), made("p", each.signed ? t.signed(each.signed) : t.notSigned, "note")), box("div", "buttons", download(each.pdf, t.pdf), download(each.json, t.json))));
+      body.push(box("div", "certificate", box("div", "", made("strong", t.certificate(each.number)), made("p", each.verdict), made("p", `${day(Date.parse(each.issued) / 1000)}, ${each.signed ? t.signed(each.signed.slice(0, 16)) : t.notSigned}`, "note")), box("div", "buttons", download(each.pdf, t.pdf), download(each.json, t.json))));
     }
     if (!files?.certificates.length) body.push(made("p", t.noCertificate.replace("JOB", one.job), "note"));
     if (files?.report) body.push(box("div", "buttons", download(files.report, t.report)));

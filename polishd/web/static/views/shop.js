@@ -105,8 +105,8 @@ function drawLevel(one, { value, text }) {
   const { ctx: g, bbox } = one, y = one.valToPos(value, "y", true), dpr = devicePixelRatio || 1;
   if (!(y >= bbox.top && y <= bbox.top + bbox.height)) return;
   g.save();
-  g.strokeStyle = colour("--warn");
-  g.fillStyle = colour("--warn");
+  g.strokeStyle = colour("--text");
+  g.fillStyle = colour("--text");
   g.setLineDash([5 * dpr, 4 * dpr]);
   g.lineWidth = 1.5 * dpr;
   g.beginPath();
