@@ -23,6 +23,7 @@ from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import ClientShares, JsonAnswer, NoSuchResource, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.web.map_data import MapRequest
+from polishd.web.overview import Overview
 from polishd.web.part_history import MOST_FILTER, MOST_PAGE, PAGE, RESULTS, PartFilter, PartHistory
 from polishd.web.queue_view import QueueView
 from polishd.web.run_data import NO_CYCLE, RunData
@@ -107,6 +108,7 @@ class Api:
         self._config, self.sessions, self._certificate = config, sessions, certificate
         self._disk, self._orders = RunData(config.state_dir), CommandForwarder(config.state_dir)
         self._history = PartHistory(config.state_dir)
+        self._overview, self._overview_read = Overview(config), asyncio.Lock()
         self._queue = QueueView(config, self._history)
         self.watcher = Watcher(config.state_dir)
         self._streams = ClientShares(MOST_OF_USER, MOST_WATCHERS)
@@ -152,6 +154,15 @@ class Api:
         live = state["live"] or {}
         known = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
         return {**known, "certificate": None if self._certificate is None else self._certificate.facts()}
+
+    async def overview(self, _request: Request, _session: HttpSession) -> Any:
+        """Limits, tolerance, and progress of the pass."""
+        async with self._overview_read:  # one reader: the others get its answer
+            return await asyncio.to_thread(self._overview.facts)
+
+    async def readings(self, _request: Request, _session: HttpSession) -> Any:
+        """Readings of the last minutes."""
+        return {"columns": ["at_s", "force_n", "setpoint_n", "rpm"], "rows": self.watcher.readings()}
 
     async def queue(self, _request: Request, _session: HttpSession) -> Any:
         """Jobs of the queue, from the journal: it needs no daemon."""

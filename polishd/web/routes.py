@@ -61,6 +61,8 @@ ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("GET", "/api/state", WATCH, "state of the cell, last readings of its devices, and their ages", Api.state),
     ApiRoute("GET", "/api/health", WATCH, "link ages, disk, memory and loop", Api.health),
     ApiRoute("GET", "/api/events", WATCH, "what happens, as a stream (SSE): `state`, `happened`", Api.events),
+    ApiRoute("GET", "/api/overview", WATCH, "limits, tolerance, progress of pass and phase, time left", Api.overview),
+    ApiRoute("GET", "/api/readings", WATCH, "force and speed of the last ten minutes, twice a second", Api.readings),
     ApiRoute("GET", "/api/alarms", WATCH, "alarms that are not acknowledged, the oldest first", Api.alarms),
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),

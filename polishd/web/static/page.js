@@ -1,8 +1,8 @@
 // The shell of the page: who is signed in, the stream of states, orders, alarms, and the view that the address names.
 //
 // A view is a module views/NAME.js that exports `mount(root, ctx)`, and optionally `styles`: paths of its style sheets.
-// `mount` returns { update(state)?, refresh()?, unmount()? }: `update` at each state (twice a second), `refresh` when
-// something has happened, both only while the view is shown. `ctx` is described at its definition below.
+// `mount` returns { update(state)?, refresh()?, tick()?, unmount()? }: `update` at each state (twice a second), `refresh`
+// when something has happened, `tick` four times a second, also without a connection; all only while it is shown. `ctx` is described at its definition below.
 import { $, box, button, icon, made, put } from "./dom.js";
 import { clock } from "./format.js";
 import { sound } from "./sound.js";
@@ -202,6 +202,7 @@ function show() {
   showAlarms();
   soundLost(how);
   const marks = !up || known.alarms.length ? "\u26a0 " : "";
+  view?.tick?.();
   const title = `${marks}${$("state").textContent || "polishd"} - ${known.cell || "polishd"}`;
   if (document.title !== title) document.title = title;
 }

@@ -30,6 +30,75 @@ export const texts = {
   approval: "Waits for approval", attention: "needs you",
 
   // dashboard
+  dashboard: {
+    now: "Now", alarms: "Alarms", journal: "What happened", map: "Map", kind: "Map shown", openMaps: "Open the maps", progressOf: "Progress of the pass",
+    part: "Part", job: "Job", pass: "Pass", tool: "Tool", on: "on the part", off: "off the part", passOf: (n, most) => `${n} of at most ${most}`,
+    tiles: { left: "Time left", force: "Force", speed: "Speed", rms: "RMS now" },
+    waits: "A plan waits for your approval. Nothing moves before.", lookAtPlan: "Look at the plan",
+    does: {
+      starting: "The daemon opens the devices and makes them safe.", idle: "The cell waits for a job, or prepares one.", changing: "The part is being changed.",
+      polishing: "The cell works on the part.", held: "The cell is held: safe, and waiting for a person.", finished: "The job is over.",
+    },
+    phase: {
+      measure: "Measuring the part", learn: "Comparing the last pass with its plan", solve: "Computing the dwell", plan: "Making the program", run: "Polishing",
+      clean: "Cleaning the part", settle: "Waiting until the part has settled", change: "Changing the tool", condition: "Conditioning the pad", touch_off: "Touching off the part",
+    },
+    soon: {
+      measure: "Next: compare the last pass with its plan, then compute the dwell.", learn: "Next: compute the dwell.", solve: "Next: make the program.", plan: "Next: polish.",
+      run: "Next: lift the tool and measure again.", settle: "Next: measure again.", clean: "Next: measure the part.", change: "Next: polish.", condition: "Next: polish.", touch_off: "Next: polish.",
+    },
+    leaving: (why) => `The tool is being lifted: ${why}`,
+    blockOf: (n, of, share) => `Block ${n} of ${of} (${share})`, behind: (time) => `${time} behind the plan`, ahead: (time) => `${time} ahead of the plan`,
+    waiting: "Waits", forYou: "for a person", plusMinus: (time) => `± ${time}`, until: (at) => `until ${at}`, timeUnknown: "no earlier one to compare",
+    basis: (what, n) => ({ passes: `from ${n === 1 ? "the last pass" : `the last ${n} passes`}`, phases: "as earlier ones", "this pass": "from this pass alone", plan: "from the plan alone" })[what] ?? "",
+    setTo: (value) => `set to ${value}`, outside: (band) => `outside ± ${band}`, noContact: "no force is set", notRead: "not read out of contact", oldBy: (time) => `${time} old`,
+    then: (nm) => `${nm} nm planned`, allowed: (nm) => `${nm} nm allowed`,
+    kinds: { measured: "Measured now", before: "Before polishing", predicted: "Predicted", removal: "Planned removal" }, range: (low, high) => `${low} to ${high} nm`, noMap: "There is no map.", noPlan: "There is no plan yet.",
+    charts: { convergence: "RMS by measurement", psd: "PSD", force: "Force", speed: "Speed", progress: "Blocks against the plan" },
+    axes: { measurement: "measurement", rms: "RMS, nm", frequency: "1/mm", psd: "nm² mm²", time: "time of day", minutes: "time of the pass, min", blocks: "blocks" },
+    measured: "measured", predicted: "predicted", high: "expected at most", low: "expected at least", beforePolishing: "before polishing", afterPass: (n) => `after pass ${n}`,
+    first: "first", last: "last", limit: "limit", period: (mm) => `${mm} mm`, ripple: (mm) => `ripple ${mm} mm`, planned: "planned", executed: "executed",
+    toleranceOf: (nm) => `tolerance ${nm} nm`, setPoint: "set point", limitOf: (share) => `limit ± ${share}`,
+    noMeasurement: "There is no measurement yet.", noForce: "The force is read in contact.", noSpeed: "The speed is read in contact.", noPass: "No pass is under way.",
+    noAlarm: "No alarm is open.", toDo: "Do", cameFirst: "(came first)", severity: { alarm: "Alarm", warning: "Warning", info: "Note" },
+    lastNotice: "Last notification", lastOrder: "Last order", none: "none yet", sentBy: (names) => `by ${names}`, noNotifier: "no notifier is configured", ordered: (order, by) => `${order} by ${by}`,
+    notices: {
+      part_requested: (d) => `Part ${d.part_id} is requested`, queue_job_ended: (d) => `${d.job} was ${d.verdict}${d.reason ? `: ${d.reason}` : ""}`, queue_stopped: (d) => `The queue stops${d.reason ? `: ${d.reason}` : ""}`,
+      state_changed: (d) => (d.state === "held" ? `Held: ${d.reason}` : ""), daemon_failed: (d) => `The daemon failed: ${d.error}`, map_refused: (d) => `A map was refused: ${d.reason}`,
+      signal_out_of_range: (d) => d.what || d.reason || "A signal is out of range", plan_awaiting_approval: () => "A plan waits for approval", run_folder_completed: (d) => `The job ended: ${words(d.outcome)}${d.reason ? `: ${d.reason}` : ""}`,
+      notification_failed: (d) => `Notifications by ${d.notifier} fail: ${d.error}`,
+    },
+    events: {
+      job_started: (d) => `Job ${d.job} begins with part ${d.part_id}`, part_requested: (d) => `Part ${d.part_id} is requested`, part_changed: (d) => `Part ${d.part_id ?? ""} is in`,
+      queue_job_ended: (d) => `${d.job}: ${d.verdict}`, queue_stopped: () => "The queue stops", cell_opened: () => "All devices are open", state_changed: (d, all) => [all?.states[d.state] ?? d.state, d.reason].filter(Boolean).join(": "),
+      command_received: (d, all) => `${all?.[d.order] ?? words(d.order)} by ${d.by || "an unnamed client"}${d.reason ? `: ${d.reason}` : ""}`, alarm_acknowledged: (d) => `${d.alarms?.length === 1 ? "An alarm was" : `${d.alarms?.length ?? ""} alarms were`} acknowledged by ${d.by || "an unnamed client"}`,
+      contact_aborted: (d) => `Contact is left: ${d.error}`, cell_held: (d) => d.error, daemon_failed: (d) => `The daemon failed: ${d.error}`, map_refused: (d) => `A map was refused: ${d.reason}`,
+      map_measured: (d) => `Measured${d.rms_nm === undefined ? "" : `: RMS ${nm(d.rms_nm)}`}`, map_repeated: () => "Measured again", removal_check_failed: () => "The removal does not fit the plan", estimates_updated: () => "The estimates are updated",
+      signal_out_of_range: (d) => d.what || "A signal is out of range", finding_reported: (d) => d.what || "A finding is reported", dwell_solved: (d) => `Dwell computed${d.predicted_rms_nm === undefined ? "" : `: ${nm(d.predicted_rms_nm)} predicted`}`,
+      tool_mounted: (d) => `Tool ${d.tool ?? ""} is on the spindle`, part_touched_off: () => "The part was touched off", plan_awaiting_approval: () => "A plan waits for approval", plan_approved: (d) => `The plan was approved by ${d.by || "an unnamed client"}`,
+      pass_started: () => "A pass begins", pass_ended: (d) => `The pass is over${d.executed_s === undefined ? "" : ` after ${(d.executed_s / 60).toFixed(1)} min in contact`}`, run_folder_completed: (d) => `The job ended: ${words(d.outcome)}`,
+      notification_failed: (d) => `Notifications by ${d.notifier} fail`, shop_rate_received: () => "The shop has sent a removal rate",
+    },
+  },
+  guide: { todo: "What to do", toolOff: "Tool off the part", atRest: "Robot at rest", confirmed: { yes: "confirmed", "not confirmed": "NOT confirmed: go to the machine first", "not asked": "not known: no device was asked" }, notSafe: "Not confirmed to be safe" },
+  guides: {
+    page: { kind: "alarm", title: "No connection to the page's server", steps: ["Check the network of this device: do other pages open?", "Call the cell, or go there: `polishd status CELL.toml` shows how it stands.", "If the cell works and only this page fails, start it again: `polishd web CELL.toml`.", "In danger press the emergency stop at the machine."] },
+    silent: { kind: "alarm", title: "The daemon does not answer", steps: ["Press Hold: it is still sent, and is obeyed when the daemon answers.", "Go to the cell. See whether the tool is off the part.", "The actuator's own watchdog lifts the tool if the daemon stays silent.", "At the computer: `polishd status CELL.toml`. If it stays silent, end the daemon and start it again: it starts held."] },
+    killed: { kind: "alarm", title: "The daemon was killed", steps: ["Go to the cell. See that the tool is off the part and the robot at rest.", "Find out why: power cut, restart of the computer, no memory (`journalctl`).", "Look at the part. The interrupted pass can leave a step; the next measurement shows it.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing.", "When no person is in the cell, press Resume here. The cell measures first."] },
+    failed: { kind: "alarm", title: "An error ended the daemon", steps: ["Read the reason on the left. A device that is NOT confirmed: go to the machine first.", "Correct the cause.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing.", "When no person is in the cell, press Resume here. The cell measures first."] },
+    stopped: { kind: "calm", title: "The run was stopped by an order", steps: ["See below who ordered it, and ask before you go on.", "To go on with this job start the daemon: `polishd run CELL.toml`. It starts held.", "When no person is in the cell, press Resume here. The cell measures first."] },
+    unknown: { kind: "alarm", title: "No daemon has left a record", steps: ["Check that this is the right cell.", "Look at the cell: tool off the part, robot at rest.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing."] },
+    in_tolerance: { kind: "calm", title: "Done: the part is in tolerance", steps: ["Read `report.html` in the run folder, or the part's page under History.", "Take the part out. A finished cell is not a safe place: use your safety controller before you reach in.", "The next job begins with `polishd run CELL.toml`."] },
+    as_programmed: { kind: "calm", title: "Done: all passes of the program were made", steps: ["Read `report.html` in the run folder.", "The estimates are saved: `polishd estimates show CELL.toml` shows them.", "The next job begins with `polishd run CELL.toml`."] },
+    cycles_used: { kind: "warning", title: "All passes are used, and the part is not in tolerance", steps: ["Look at the convergence and the last map. What is left: form, or ripple?", "For more passes raise `job.max_cycles` and give the job a new `job.id`.", "If the last passes removed less than planned, look at the pad and the slurry first."] },
+    diverged: { kind: "alarm", title: "The surface got worse", steps: ["Do not polish on.", "Compare the last two maps. A shifted or turned pattern: check the seat and the fiducials.", "Uniformly more or less removal than planned: check pad, slurry, force and speed.", "Measure again. If the first map was wrong, the measurement was the cause.", "Begin a new job only after you know the cause."] },
+    stalled: { kind: "warning", title: "A pass hardly improves the surface", steps: ["Look at the PSD: what is left may be finer than the tool can reach.", "Look at the pad: a glazed pad removes less. Condition or change it.", "A smaller tool, or a polish with another pad, takes the rest.", "Begin a new job with that tool."] },
+    held: { kind: "warning", title: "Held by an error", steps: ["Read the reason on the left and the alarms beside. The first alarm is often the cause of the others.", "Correct the cause. A held cell is not a safe place for people: use your safety controller before you reach in.", "You may clean the part on its seat. If you take it out, put it back the same way.", "When no person is in the cell, press Resume. The cell measures first; no block runs twice."] },
+    ordered: { kind: "warning", title: "Held by an order", steps: ["See beside who ordered it, and ask before you go on.", "The tool is off the part. A held cell is not a safe place for people: use your safety controller before you reach in.", "When no person is in the cell, press Resume. The cell measures first; no block runs twice."] },
+    unsafe: { kind: "alarm", title: "A device did not confirm that it is safe", steps: ["Go to the machine now. Stay out of the robot's reach.", "Actuator: switch it off and see the tool lifted before anything moves.", "Robot: stop it at its own controller. Spindle: switch its drive off before you reach in.", "Correct the cause, then press Resume: every device must confirm before anything moves."] },
+    approval: { kind: "warning", title: "A plan waits for approval", steps: ["Look at the plan: predicted surface, removal, time, and warnings.", "Approve it there, or press Hold and correct the recipe.", "Nothing moves before. Nothing is lost by waiting."] },
+    changing: { kind: "warning", title: "The part must be changed", steps: ["Without a loader: make the cell safe, then put in the part that is named on the left.", "Check its number: the map must show the same one.", "When no person is in the cell, press Resume."] },
+  },
 
   // maps
   maps: {
@@ -148,4 +217,16 @@ export const texts = {
   },
 
   // host
+  host: {
+    title: "Computer of the cell", figure: "Figure", value: "Now", limit: "Limit", state: "State", fine: "in order", atLeast: (value) => `at least ${value}`, atMost: (value) => `at most ${value}`,
+    none: "The daemon reports its computer once it runs.", devices: "Devices", device: "Device", heard: "Last answer", noDevices: "No device has answered yet.", signals: "Signals", signal: "Signal", noSignals: "The cell has no [signals].",
+    page: "This page", daemon: "Daemon", states: { up: "answers", silent: "does not answer", none: "does not run" }, link: "Last state from the daemon", user: "Signed in as", certificate: "TLS certificate", noCertificate: "none: this server is reachable on its own computer only",
+    expires: (days, at) => `valid for ${days} days, until ${at}`, version: "Version", roles: { watch: "watch: see everything, hold and stop", operate: "operate: also resume, approve, acknowledge and change the queue", engineer: "engineer: also read the configuration" },
+    names: {
+      loop_lag_s: ["Contact loop: delay", "s"], journal_s: ["Journal: time until it is on disk", "s"], state_disk_mb: ["Disk of the journal: free", "MB"], run_disk_mb: ["Disk of the run folder: free", "MB"],
+      state_disk_files: ["Disk of the journal: files that fit", "files"], run_disk_files: ["Disk of the run folder: files that fit", "files"], memory_mb: ["Memory: free", "MB"], process_memory_mb: ["Memory the daemon may still take", "MB"],
+    },
+  },
 };
+const words = (name) => String(name ?? "").replaceAll("_", " ");
+const nm = (value) => `${Number(value).toPrecision(3)} nm`;
