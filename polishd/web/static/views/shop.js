@@ -59,7 +59,7 @@ export const problem = (text, why, again, label) => box("div", "problem", made("
 /* A chart of uPlot that follows the width of its place. `series`: { label, values, kind: "line" | "points" | "bars" |
  * "hidden", stroke, fill? }; `bands`: pairs of series numbers. Returns { root, chart, end() }. */
 export function chart({ label, height = 170, x, series, bands = [], time = true, log = false, hover, level, xText, yText, range }) {
-  const root = box("div", "chart"), U = window.uPlot, muted = colour("--muted"), grid = { stroke: colour("--grid"), width: 1 };
+  const root = box("div", "plot"), U = window.uPlot, muted = colour("--muted"), grid = { stroke: colour("--grid"), width: 1 };
   root.setAttribute("role", "img");
   root.setAttribute("aria-label", label);
   if (!U) { root.append(made("p", label, "empty")); return { root, end() {} }; }
