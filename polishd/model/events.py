@@ -356,6 +356,11 @@ class PlanAwaitingApproval(Event):
     program_sha256: Annotated[str, "hash of its program"]
     predicted_rms_nm: Annotated[float, "predicted RMS after the pass, nm"]
     dwell_s: Annotated[float, "planned time in contact, s"]
+    figures: Annotated[
+        Mapping[str, Any] | None,
+        "figures for the approval: RMS now, predicted and expected, ripple, removal, force, speed, `limits` and `notes`",
+    ] = None
+    plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 
     def concern(self) -> OperatorNotice:
         """Warning."""

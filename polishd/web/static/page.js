@@ -1,14 +1,14 @@
 // The shell of the page: who is signed in, the stream of states, orders, alarms, and the view that the address names.
 //
 // A view is a module views/NAME.js that exports `mount(root, ctx)`, and optionally `styles`: paths of its style sheets.
-// `mount` returns { update(state)?, refresh()?, unmount()? }: `update` at each state (twice a second), `refresh` when
-// something has happened, both only while the view is shown. `ctx` is described at its definition below.
+// `mount` returns { update(state)?, refresh()?, tick()?, unmount()? }: `update` at each state (twice a second), `refresh`
+// when something has happened, `tick` four times a second, also without a connection; all only while it is shown. `ctx` is described at its definition below.
 import { $, box, button, icon, made, put } from "./dom.js";
 import { clock } from "./format.js";
 import { sound } from "./sound.js";
 import { texts } from "./strings.js";
 
-const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"];
+const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"], PANELS = ["approve"]; // panels have no tab
 const LOST_MS = 1200, SAID_MS = 15_000;
 const known = { session: null, state: null, heard: 0, cell: "", jobs: [], cycles: [], alarms: [], journal: [], heardAlarm: null };
 let stream = null;
@@ -90,7 +90,7 @@ function leave() {
 async function route(again = false) {
   if (!known.session) return;
   const name = location.hash.slice(1).split("?")[0] || "dashboard";
-  if (!VIEWS.includes(name)) { location.replace("#dashboard"); return; }
+  if (![...VIEWS, ...PANELS].includes(name)) { location.replace("#dashboard"); return; }
   if (name === viewName && !again) { view?.refresh?.(); return; }
   const moved = viewName !== "";
   leave();
@@ -153,7 +153,7 @@ function link() {
   if (performance.now() - known.heard > LOST_MS) return "page";
   return known.state ? known.state.daemon : "page";
 }
-const mayOperate = () => Boolean(known.session) && known.session.role !== "watch";
+function mayOperate() { return Boolean(known.session) && known.session.role !== "watch"; }
 setInterval(() => known.session && show(), 250);
 
 // what is read again when something has happened
@@ -202,6 +202,7 @@ function show() {
   showAlarms();
   soundLost(how);
   const marks = !up || known.alarms.length ? "\u26a0 " : "";
+  view?.tick?.();
   const title = `${marks}${$("state").textContent || "polishd"} - ${known.cell || "polishd"}`;
   if (document.title !== title) document.title = title;
 }
