@@ -358,7 +358,7 @@ class PlanAwaitingApproval(Event):
     dwell_s: Annotated[float, "s in contact, as planned"]
     figures: Annotated[
         Mapping[str, Any] | None,
-        "what is approved: RMS now, predicted and expected, ripple, removal, time, `limits` and `notes`",
+        "what is approved: RMS now, predicted and expected, ripple, removal, force, speed, `limits` and `notes`",
     ] = None
     plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 

@@ -17,7 +17,7 @@ from polishd.daemon.queue.queue import TO_DO
 from polishd.model.errors import ConfigError
 from polishd.web.part_history import PartHistory
 
-ENDED_SHOWN = 20
+ENDED_SHOWN = 8
 """Number of ended jobs in the answer, the last ones."""
 TYPICAL_OF = 200
 """The expected time of a job is the median of the finished jobs with its program among so many that ended last."""

@@ -18,6 +18,7 @@ from polishd.daemon.journal.history import naming_damage, read_events, read_only
 from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME
 from polishd.daemon.journal.store import ArrayStore
 from polishd.model.errors import ConfigError, JournalDamage
+from polishd.model.events import PlanAwaitingApproval
 from polishd.process.metrology.spectra import radial_psd
 from polishd.web.cell_figure import CellFigures
 from polishd.web.http.server import NoSuchResource
@@ -35,7 +36,7 @@ ALARMS: Mapping[str, tuple[str, str, str]] = {
     "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
     "removal_check_failed": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
     "part_requested": ("warning", "part_id", "put that part in, then resume"),
-    "plan_awaiting_approval": ("warning", "program_sha256", "look at the plan, then approve it"),
+    PlanAwaitingApproval.name: ("warning", "program_sha256", "look at the plan, then approve it"),
     "notification_failed": ("warning", "error", "correct what it names, and try polishd notify"),
 }
 """By event: severity, key of the detail, and default advice."""
@@ -90,11 +91,12 @@ class RunData:
             "ORDER BY id DESC"
         )
         with naming_damage(self._state_dir):
-            plans = [(*row, dict(json.loads(text))) for *row, text in self._rows(sql, "plan_awaiting_approval")]
+            plans = [(*row, dict(json.loads(text))) for *row, text in self._rows(sql, PlanAwaitingApproval.name)]
             found = next((one for one in plans if one[4]["program_sha256"] == program_sha256), None)
             if found is None:
                 raise NoSuchRow(f"no plan {program_sha256[:12]} of the present job waits, or waited, for approval")
             _, job, at_s, cycle, plan = found
+            figures = {key: value for key, value in plan.items() if key not in {"program_sha256", "plan"}}
             cycles = self.cycles(job)
             approved = [
                 {"at_s": at, "by": data["by"]}
@@ -111,7 +113,7 @@ class RunData:
                 "job": job,
                 "cycle": cycle,
                 "at_s": at_s,
-                "figures": plan.get("figures"),
+                "figures": figures if "limits" in figures else None,  # none of an earlier polishd
                 "has_maps": bool(plan.get("plan")),
                 "measured": after.get(cycle),
                 "approved": approved[-1] if approved else None,
@@ -260,6 +262,9 @@ def _pass(row: tuple[Any, ...]) -> dict[str, Any]:
 def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
     severity, field, todo = ALARMS[event["name"]]
     data = event["data"]
+    if event["name"] == PlanAwaitingApproval.name:
+        what = f"a plan of {data['dwell_s'] / 60:.0f} min to {data['predicted_rms_nm']:.2f} nm RMS waits for approval"
+        data = {**data, field: what}
     known = {key: event[key] for key in ("number", "at_s", "cycle", "name")}
     return {**known, "severity": severity, "what": str(data.get(field, "")), "todo": data.get("next") or todo}
 

@@ -99,7 +99,7 @@ class RunFiles:
 
 
 def _certificate(file: RunFile) -> dict[str, Any] | None:
-    """Return number, verdict and key of a certificate; None where the file is none."""
+    """Return number, date, verdict and key of a certificate; None where the file is none."""
     try:
         found = json.loads(file.content() or b"")
         if not str(found["schema"]).startswith(CERTIFICATE_SCHEMA):
@@ -107,6 +107,7 @@ def _certificate(file: RunFile) -> dict[str, Any] | None:
         signature = found["seal"]["signature"]
         return {
             "number": str(found["number"]),
+            "issued": str(found["issued"]),
             "verdict": str(found["verdict"]["words"]),
             "signed": None if signature is None else str(signature["key_id"]),
         }

@@ -47,7 +47,7 @@ def figures_of(before_nm: float, after_nm: float, program: str = "") -> dict[str
     """Figures of a plan, as ``plan_figures`` makes them."""
     limits = [
         ("limits.max_removal_nm", 8.0 * before_nm, 1000.0, "nm", False),
-        ("limits.max_pass_s", 1260.0, 86400.0, "s", False),
+        ("limits.max_pass_s", 1260.0 * before_nm / 18, 86400.0, "s", False),
         ("machine.min_feed_mm_s", 1.2, 0.05, "mm/s", True),
         ("machine.max_feed_mm_s", 19.4, 20.0, "mm/s", False),
         ("machine.x_mm", -52.0, -150.0, "mm", True),
@@ -119,7 +119,7 @@ class FilledCell:
             self.rows.append((MAP, (number, cycle, f"{number}-{cycle}", json.dumps(stats_of(value)), taken, arrays)))
         for cycle, (before, after) in enumerate(pairwise(rms_nm)):
             began = at_s + (cycle + 0.3) * hours * HOUR_S / len(rms_nm)
-            facts = facts_of(before, 0.85 * after, after)
+            facts = facts_of(before, (0.78 + 0.05 * ((5 * number + cycle) % 7)) * after, after)
             plan = self.plan(before, after, number + cycle) if self.maps and ended is None else ""
             row = (number, cycle, f"{number:032x}{cycle:032x}", json.dumps(facts), began, began + 1200, plan)
             self.rows.append((PASS, row))
@@ -208,12 +208,12 @@ def _figure(rms_nm: float, seed: int) -> tuple[Any, Any]:
     return np.where(mask, height, np.nan), mask
 
 
-def months(cell: FilledCell, count: int, last_s: float = NOW_S) -> Iterator[int]:
-    """Add so many parts before that time, a few a day, most of them accepted; yield their numbers."""
+def months(cell: FilledCell, count: int, last_s: float = NOW_S, days: float = 0.25) -> Iterator[int]:
+    """Add so many parts before that time, one in so many days, most of them accepted; yield their numbers."""
     rng = random.Random(4)
-    at_s = last_s - count * 0.25 * DAY_S
+    at_s = last_s - count * days * DAY_S
     for number in range(count):
-        at_s += 0.25 * DAY_S * rng.uniform(0.8, 1.2)
+        at_s += days * DAY_S * rng.uniform(0.8, 1.2)
         first = rng.uniform(14, 30)
         passes = [first, first * rng.uniform(0.1, 0.35), rng.uniform(1.2, 1.95)]
         result = rng.choices(("accepted", "rejected", "set aside"), (88, 8, 4))[0]
@@ -227,7 +227,7 @@ def months(cell: FilledCell, count: int, last_s: float = NOW_S) -> Iterator[int]
 def shop_cell(config: CellConfig, now_s: float = NOW_S, parts: int = 90) -> str:
     """Months of parts, one under way whose second plan waits for approval, and four that wait. Its program's hash."""
     cell = FilledCell(config)
-    for _ in months(cell, parts, now_s - 2 * DAY_S):
+    for _ in months(cell, parts, now_s - 2 * DAY_S, 0.85):
         pass
     job = cell.part("lens-2001", now_s - 1.2 * HOUR_S, [18.4, 4.6], "under way")
     cell.approved(job, 0, f"{job:032x}{0:032x}", "anna (web)", now_s - 1.1 * HOUR_S)

@@ -10,7 +10,7 @@ const AGAIN_MS = 700, TRIES = 6;
 const nm = (value) => withUnit(value, "nm");
 
 export function mount(root, ctx) {
-  const t = ctx.texts.approval;
+  const t = ctx.texts.planApproval;
   let wanted = null, plan = null, ends = [], tries = 0, timer = null, gone = false;
   const body = box("div", "approve-page");
   root.append(body);
@@ -64,7 +64,7 @@ export function mount(root, ctx) {
     if (!plan.figures) { body.replaceChildren(head, problem(t.noFigures)); buttonState(); return; }
     const place = box("div", "");
     body.replaceChildren(head, box("div", "approve-grid",
-      card("approve-figures", t.figure, figures(), plan.last ? null : made("p", t.noLast, "note")),
+      card("approve-figures", t.figure, figures(), ...(plan.last ? [] : [made("p", t.noLast, "note")])),
       box("div", "approve-side", warnings(), limits()),
     ), card("approve-maps", t.surface, place));
     buttonState();
@@ -85,11 +85,11 @@ export function mount(root, ctx) {
       row(t.rippleHigh, (one) => nm(one.ripple_rms_high_nm)),
       row(t.removal, (one) => nm(one.removal_mean_nm)),
       row(t.removalMax, (one) => nm(one.removal_max_nm)),
-      row(t.volume, (one) => withUnit(1e3 * one.removal_mm3, "10⁻³ mm³")),
+      row(t.volume, (one) => withUnit(1e9 * one.removal_mm3, "µm³")),
       row(t.time, (one) => duration(one.dwell_s), last ? duration(last.contact_s) : NONE),
       row(t.force, (one) => withUnit(one.force_n, "N")),
       row(t.speed, (one) => withUnit(one.rpm, "rpm")),
-      row(t.points, (one) => figure(one.points, 6)),
+      row(t.points, (one) => Number(one.points).toLocaleString("en").replaceAll(",", "\u202f")),
       [t.program, [hash(plan.program_sha256), "number this"], ...(last ? [[hash(last.program_sha256), "number"], ["", "number"]] : [])],
     ];
     const heads = [["", ""], [t.thisPlan, "number this"], ...(last ? [[`${t.lastPass}, ${t.planned}`, "number"], [t.result, "number"]] : [])];
@@ -113,7 +113,7 @@ export function mount(root, ctx) {
       meter.setAttribute("aria-label", `${names[key] ?? key}: ${percent(share)}`);
       return box("div", "limit", made("span", names[key] ?? key), made("span", said, "note"), meter);
     });
-    return card("approve-limits", t.limits, ...rows, plan.figures.points_at_least_time ? made("p", t.slowest(plan.figures.points_at_least_time), "note") : null);
+    return card("approve-limits", t.limits, ...rows, ...(plan.figures.points_at_least_time ? [made("p", t.slowest(plan.figures.points_at_least_time), "note")] : []));
   }
   async function showMaps(place) {
     const at = `${plan.job}/cycles/${plan.cycle}/map`, mine = plan;

@@ -123,7 +123,7 @@ export function mount(root, ctx) {
     return row;
   }
   function metOf(one) {
-    const cell = made("td", one.met === null ? t.metUnknown : one.met ? t.met : t.notMet, one.met === false ? "miss" : "");
+    const cell = made("td", one.met === null ? t.metUnknown : one.met ? t.met : t.notMet, one.met === false && one.ended_s !== null ? "miss" : "");
     if (one.worst) cell.title = `${one.worst.what}: ${figure(one.worst.value)} ${one.worst.unit}, ${figure(one.worst.limit)} ${one.worst.unit} allowed`;
     return cell;
   }
@@ -140,10 +140,10 @@ export function mount(root, ctx) {
   function drawWeeks(weeks) {
     drop();
     if (!weeks.length) { controls.weeks.replaceChildren(); return; }
-    const x = weeks.map((one) => one.at_s), plain = colour("--s1"), soft = colour("--s4"), band = colour("--band");
+    const x = weeks.map((one) => one.at_s), plain = colour("--s1"), soft = colour("--line"), band = colour("--band");
     const middle = (key, by = 1) => [0, 1, 2].map((n) => weeks.map((one) => (one[key] ? by * one[key][n] : null)));
     const cards = [["parts", (one) => t.partsOf(one.parts, one.accepted), [
-      { label: t.charts.parts, values: weeks.map((one) => one.parts), kind: "bars", fill: `color-mix(in srgb, ${soft} 45%, transparent)` },
+      { label: t.charts.parts, values: weeks.map((one) => one.parts), kind: "bars", fill: soft },
       { label: t.results.accepted, values: weeks.map((one) => one.accepted), kind: "bars", fill: plain },
     ], [], {}]];
     for (const [key, by, said, more] of [
@@ -200,7 +200,16 @@ export function mount(root, ctx) {
       if (shownKey !== key) { found.end(); return; }
       keep(found);
       places.maps.replaceChildren(found.root);
-      places.bar.replaceChildren(...(found.bar ? [box("div", "bar-line", made("span", t.oneScale, "note"), found.bar)] : []));
+      const draw = (one) => {
+        found.draw(one);
+        const choice = box("div", "choice", ...[[true, t.oneScale], [false, t.ownScales]].map(([value, text]) => {
+          const each = button(text, "small", () => { draw(value); choice.parentElement?.querySelector("[aria-pressed=true]")?.focus(); });
+          each.setAttribute("aria-pressed", String(value === one));
+          return each;
+        }));
+        places.bar.replaceChildren(box("div", "bar-line", ...(one && found.bar ? [found.bar] : [made("span")]), ...(wanted.length > 1 ? [choice] : [])));
+      };
+      if (found.bar) draw(true);
     } catch { places.maps.replaceChildren(made("p", t.mapMissing, "empty")); }
   }
   function convergence(parts, height) {
@@ -244,7 +253,7 @@ export function mount(root, ctx) {
     const download = (name, text) => { const link = made("a", text, "download"); link.href = `/api/jobs/${one.number}/files/${encodeURIComponent(name)}`; link.download = name; return link; };
     if (files && !files.present) body.push(made("p", t.noFolder(files.folder), "note"));
     for (const each of files?.certificates ?? []) {
-      body.push(box("div", "certificate", box("div", "", made("strong", t.certificate(each.number)), made("p", each.verdict), made("p", each.signed ? t.signed(each.signed) : t.notSigned, "note")), box("div", "buttons", download(each.pdf, t.pdf), download(each.json, t.json))));
+      body.push(box("div", "certificate", box("div", "", made("strong", t.certificate(each.number)), made("p", each.verdict), made("p", `${day(Date.parse(each.issued) / 1000)}, ${each.signed ? t.signed(each.signed.slice(0, 16)) : t.notSigned}`, "note")), box("div", "buttons", download(each.pdf, t.pdf), download(each.json, t.json))));
     }
     if (!files?.certificates.length) body.push(made("p", t.noCertificate.replace("JOB", one.job), "note"));
     if (files?.report) body.push(box("div", "buttons", download(files.report, t.report)));
@@ -286,13 +295,12 @@ export function mount(root, ctx) {
     const figures = tableOf([t.figure, [a.part, "number"], [b.part, "number"], [t.difference, "number"]], [
       row(t.firstRms, (one) => one.first_rms_nm, nm), row(t.lastRms, (one) => one.last_rms_nm, nm), row(t.ratio, ratio, percent), row(t.gain, (one) => one.gain, percent),
       row(t.passes, (one) => one.passes, count), row(t.took, sum, duration), row(t.contact, (one) => one.contact_s, duration), row(t.faults, (one) => one.faults, count),
-      row(`${ctx.texts.approval.removal} (1)`, plan("removal_mean_nm"), nm), row(`${ctx.texts.approval.ripple} (1)`, plan("ripple_rms_nm"), nm),
+      row(`${ctx.texts.planApproval.removal} (1)`, plan("removal_mean_nm"), nm), row(`${ctx.texts.planApproval.ripple} (1)`, plan("ripple_rms_nm"), nm),
     ], "figures");
     const converge = a.cycles.length && b.cycles.length ? keep(convergence([a, b], 300)) : null;
-    const places = { maps: box("div", ""), bar: box("div", "") };
-    root.replaceChildren(box("div", "part-page", backLink(), names, box("div", "part-grid", card("compare-figures", t.comparing, figures), card("compare-convergence", t.convergence, converge ? converge.root : made("p", t.noPasses, "empty"))), card("compare-maps", t.mapsTitle, places.maps, places.bar)));
-    const edges = (one) => (one.cycles.length > 1 ? [one.cycles[0], one.cycles.at(-1)] : one.cycles);
-    await showMaps(places, [a, b].flatMap((one) => edges(one).map((cycle) => wantedMap(one, cycle, one.part))), key);
+    const groups = [[t.firstMap, 0], [t.lastMap, -1]].map(([text, at]) => ({ text, maps: box("div", ""), bar: box("div", ""), wanted: [a, b].filter((one) => one.cycles.length).map((one) => wantedMap(one, one.cycles.at(at), one.part)) }));
+    root.replaceChildren(box("div", "part-page", backLink(), names, box("div", "part-grid", card("compare-figures", t.comparing, figures), card("compare-convergence", t.convergence, converge ? converge.root : made("p", t.noPasses, "empty"))), box("div", "part-grid", ...groups.map((one, n) => card(`compare-maps-${n}`, one.text, one.maps, one.bar)))));
+    for (const one of groups) await showMaps(one, one.wanted, key);
   }
 
   let underWay = false;

@@ -7,7 +7,7 @@ export { styles };
 
 export function mount(root, ctx) {
   const t = ctx.texts.queue;
-  let queue = null, failed = false, chosen = ctx.args().get("job") ?? "", focus = null, ended = false, lastLook = "";
+  let queue = null, failed = false, chosen = ctx.args().get("job") ?? "", focus = null, ended = innerWidth > 900, lastLook = "";
   const list = box("div", "queue-list"), details = box("aside", "queue-details card");
   const announce = made("p", "", "unseen");
   announce.setAttribute("aria-live", "polite");
@@ -33,6 +33,7 @@ export function mount(root, ctx) {
     if (one.state === "waiting") return ["waiting", t.states.waiting];
     if (!up()) return ["", t.states["under way"]];
     const state = live()?.state;
+    if (live()?.approval) return ["held", t.approval];
     return state === "held" ? ["held", t.held] : state === "changing" ? ["under way", t.changing] : state === "polishing" ? ["under way", t.polishing] : ["under way", t.states["under way"]];
   }
   function when(one) {
@@ -107,7 +108,7 @@ export function mount(root, ctx) {
       grip.addEventListener("pointerdown", (event) => drag(event, one, line));
       line.append(grip);
     }
-    line.append(open, chip(key, word));
+    line.append(open, ...(one.state === "waiting" ? [] : [chip(key, word)]));
     if (one.begun_s === null || isHeld()) {
       const tools = box("span", "job-tools");
       if (n !== undefined) {
@@ -126,7 +127,12 @@ export function mount(root, ctx) {
       tools.append(out);
       line.append(tools);
     }
-    const why = key === "held" ? t.heldWhy(live()?.reason) : one.problem ? `${t.fileProblem} ${one.problem}` : one.shop && one.state === "waiting" ? t.shop : "";
+    if (one.state !== "waiting" && up() && live()?.approval) {
+      const plan = made("a", t.lookAtPlan, "job-why attend");
+      plan.href = "#approve";
+      line.append(plan);
+    }
+    const why = key === "held" && isHeld() ? t.heldWhy(live()?.reason) : one.problem ? `${t.fileProblem} ${one.problem}` : one.shop && one.state === "waiting" ? t.shop : "";
     if (why) line.append(made("p", why, key === "held" || one.problem ? "job-why attend" : "job-why"));
     return line;
   }
@@ -141,7 +147,9 @@ export function mount(root, ctx) {
       if (one.reason && one.state !== "accepted") line.append(made("p", one.reason, "job-why"));
       rows.append(line);
     }
-    fold.append(made("summary", `${t.ended} (${queue.ended.length})`), rows);
+    const all = made("a", t.allParts(queue.ended_total));
+    all.href = "#history";
+    fold.append(made("summary", t.ended), rows, all);
     return box("section", "card", fold);
   }
   function link(href, child) {
@@ -218,7 +226,7 @@ export function mount(root, ctx) {
   return {
     refresh: read,
     update() { // twice a second: only what follows from the state is drawn again, and never under a finger
-      const look = JSON.stringify([ctx.link(), live()?.state, live()?.reason, ctx.mayOperate(), Math.floor(Date.now() / 30_000)]);
+      const look = JSON.stringify([ctx.link(), live()?.state, live()?.approval, live()?.reason, ctx.mayOperate(), Math.floor(Date.now() / 30_000)]);
       if (look !== lastLook && queue && !dragging) { lastLook = look; draw(); }
     },
   };

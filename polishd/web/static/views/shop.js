@@ -5,7 +5,7 @@ import { NONE } from "/format.js";
 export const styles = ["/views/shop.css"];
 
 // A word in a coloured chip; the word alone says it, too.
-const LOOKS = { accepted: "ok", rejected: "bad", "set aside": "attend", held: "attend", "under way": "busy", stopped: "attend" };
+const LOOKS = { rejected: "bad", "set aside": "aside", held: "attend", "under way": "busy", stopped: "aside" };
 export const chip = (key, word) => made("span", word, `chip ${LOOKS[key] ?? ""}`);
 
 // A list of terms: [name, value, note?]; empty values are left out.
@@ -59,21 +59,21 @@ export const problem = (text, why, again, label) => box("div", "problem", made("
 /* A chart of uPlot that follows the width of its place. `series`: { label, values, kind: "line" | "points" | "bars" |
  * "hidden", stroke, fill? }; `bands`: pairs of series numbers. Returns { root, chart, end() }. */
 export function chart({ label, height = 170, x, series, bands = [], time = true, log = false, hover, level, xText, yText, range }) {
-  const root = box("div", "chart"), U = window.uPlot, muted = colour("--muted"), grid = { stroke: colour("--grid"), width: 1 };
+  const root = box("div", "plot"), U = window.uPlot, muted = colour("--muted"), grid = { stroke: colour("--grid"), width: 1 };
   root.setAttribute("role", "img");
   root.setAttribute("aria-label", label);
   if (!U) { root.append(made("p", label, "empty")); return { root, end() {} }; }
   const axis = { stroke: muted, grid, ticks: { show: false }, font: "12px Inter, sans-serif", labelFont: "12px Inter, sans-serif", labelGap: 2 };
   const options = {
     width: 300, height, legend: { show: false }, cursor: { y: false, drag: { x: false, y: false }, points: { size: 8 } },
-    scales: { x: { time, ...(time ? {} : { range: (_, low, high) => [low - 0.25, high + 0.25] }) }, y: { distr: log ? 3 : 1, range: range ?? ((_, low, high) => (log ? [low / 1.4, high * 1.4] : [Math.min(0, low), (high || 1) * 1.12])) } },
+    scales: { x: { time, ...(time ? { range: (_, low, high) => [low - WEEK_S / 2, high + WEEK_S / 2] } : { range: (_, low, high) => [low - 0.25, high + 0.25] }) }, y: { distr: log ? 3 : 1, range: range ?? ((_, low, high) => (log ? [low / 1.4, high * 1.4] : [Math.min(0, low), (high || 1) * 1.12])) } },
     axes: [
-      { ...axis, size: xText ? 44 : 30, label: xText, space: 58, ...(time ? { values: (_, splits) => splits.map((at) => shortDay(at)) } : { incrs: [1, 2, 5, 10], values: (_, splits) => splits.map((one) => (Number.isInteger(one) ? String(one) : "")) }) },
-      { ...axis, size: 46, label: yText, labelSize: yText ? 20 : 0, space: 28, ...(log ? { values: (_, splits) => splits.map((one) => (one === null || ![1, 2, 5].includes(Math.round(one / 10 ** Math.floor(Math.log10(one) + 1e-9))) ? "" : String(Number(one.toPrecision(2))))) } : {}) },
+      { ...axis, size: 26, label: xText, labelSize: xText ? 20 : 0, space: 58, ...(time ? { values: (_, splits) => splits.map((at) => shortDay(at)) } : { incrs: [1, 2, 5, 10], values: (_, splits) => splits.map((one) => (Number.isInteger(one) ? String(one) : "")) }) },
+      { ...axis, size: 46, label: yText, labelSize: yText ? 20 : 0, space: 28, ...(log ? { values: (_, splits) => splits.map((one) => (isRound(one) ? String(Number(one.toPrecision(2))) : "")) } : {}) },
     ],
     series: [{}, ...series.map((one) => ({
       label: one.label, stroke: one.stroke, fill: one.fill, width: one.kind === "bars" ? 0 : 2, spanGaps: true, show: true,
-      ...(one.kind === "bars" ? { paths: U.paths.bars({ size: [0.78, 26], align: 1 }), points: { show: false } } : {}),
+      ...(one.kind === "bars" ? { paths: U.paths.bars({ size: [0.78, 26], align: 0 }), points: { show: false } } : {}),
       ...(one.kind === "points" ? { paths: () => null, points: { show: true, size: 9, width: 2, fill: colour("--card"), stroke: one.stroke } } : {}),
       ...(one.kind === "dots" ? { points: { show: true, size: 7, fill: one.stroke } } : {}),
       ...(one.kind === "line" ? { points: { show: x.length < 2 } } : {}),
@@ -92,13 +92,21 @@ export function chart({ label, height = 170, x, series, bands = [], time = true,
   return { root, end() { sizes.disconnect(); made_.destroy(); } };
 }
 
+const WEEK_S = 604_800;
+// 1, 2 or 5 times a power of ten: the labels of a logarithmic axis.
+function isRound(value) {
+  if (value === null || !(value > 0)) return false;
+  const digit = value / 10 ** Math.floor(Math.log10(value) + 1e-9);
+  return [1, 2, 5].some((one) => Math.abs(digit - one) < 1e-6);
+}
+
 // A dashed line across the chart, with its word.
 function drawLevel(one, { value, text }) {
   const { ctx: g, bbox } = one, y = one.valToPos(value, "y", true), dpr = devicePixelRatio || 1;
   if (!(y >= bbox.top && y <= bbox.top + bbox.height)) return;
   g.save();
-  g.strokeStyle = colour("--warn");
-  g.fillStyle = colour("--warn");
+  g.strokeStyle = colour("--text");
+  g.fillStyle = colour("--text");
   g.setLineDash([5 * dpr, 4 * dpr]);
   g.lineWidth = 1.5 * dpr;
   g.beginPath();
@@ -107,7 +115,8 @@ function drawLevel(one, { value, text }) {
   g.stroke();
   g.font = `${12 * dpr}px Inter, sans-serif`;
   g.textAlign = "right";
-  g.fillText(text, bbox.left + bbox.width - 4 * dpr, y - 5 * dpr);
+  g.textBaseline = "bottom";
+  g.fillText(text, bbox.left + bbox.width - 4 * dpr, y - 3 * dpr);
   g.restore();
 }
 
@@ -124,13 +133,17 @@ export async function maps(ctx, wanted, { missing, signed = true }) {
     return figure;
   });
   const bar = ends.length ? await colourBar(scale, signed && datas.some((one) => one?.signed), datas.find((one) => one)?.unit ?? "nm") : null;
-  const draw = () => figures.forEach((figure, n) => {
-    const canvas = figure.querySelector("canvas");
-    if (canvas?.clientWidth) drawHeightMap(canvas, datas[n], { compact: true, scale, label: wanted[n].label, outside: "hide" });
-  });
-  const root = box("div", "maps", ...figures), sizes = new ResizeObserver(draw);
+  let together = true; // one range of colours; false: of each its own
+  const draw = (one = together) => {
+    together = one;
+    figures.forEach((figure, n) => {
+      const canvas = figure.querySelector("canvas");
+      if (canvas?.clientWidth) drawHeightMap(canvas, datas[n], { compact: true, scale: together ? scale : undefined, label: wanted[n].label, outside: "hide" });
+    });
+  };
+  const root = box("div", "maps", ...figures), sizes = new ResizeObserver(() => draw());
   sizes.observe(root);
-  return { root, bar, figures, end() { sizes.disconnect(); } };
+  return { root, bar, draw, end() { sizes.disconnect(); } };
 }
 
 // A horizontal colour bar with its ends and middle.
