@@ -358,7 +358,7 @@ class PlanAwaitingApproval(Event):
     dwell_s: Annotated[float, "planned time in contact, s"]
     figures: Annotated[
         Mapping[str, Any] | None,
-        "figures for the approval: RMS now, predicted and expected, ripple, removal, force, speed, `limits` and `notes`",
+        "figures for the approval: RMS now, predicted, expected, ripple, removal, force, speed, `limits` and `notes`",
     ] = None
     plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 

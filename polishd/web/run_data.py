@@ -29,15 +29,15 @@ MOST_POINTS = 4000
 MOST_ROWS = 500
 """Most events in an answer."""
 ALARMS: Mapping[str, tuple[str, str, str]] = {
-    "cell_held": ("warning", "error", "mend what it names, then resume"),
-    "daemon_failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
+    "cell_held": ("warning", "error", "correct the cause, then resume"),
+    "daemon_failed": ("alarm", "error", "the daemon has ended: correct the cause, then start polishd run again"),
     "finding_reported": ("warning", "what", "look at the tool and the last pass"),
-    "signal_out_of_range": ("warning", "what", "see to that signal"),
+    "signal_out_of_range": ("warning", "what", "check what that signal measures, and its sensor"),
     "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
     "removal_check_failed": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
     "part_requested": ("warning", "part_id", "put that part in, then resume"),
     PlanAwaitingApproval.name: ("warning", "program_sha256", "look at the plan, then approve it"),
-    "notification_failed": ("warning", "error", "mend that notifier"),
+    "notification_failed": ("warning", "error", "correct what it names, and try polishd notify"),
 }
 """By event: severity, key of the detail, and default advice."""
 
