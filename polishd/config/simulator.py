@@ -95,9 +95,9 @@ class FaultSection(ConfigSection):
     rate: Annotated[float, Field(gt=0, le=1)] | None = None
     """Share of frames that suffer: all along, or from `at_s` or `contact_s` on. [1]"""
     duration_s: NotNegative = 0.0
-    """How long it goes on, wall time; 0: one frame, or once; for a rate, and for what lasts, from then on."""
+    """Duration in wall time; 0: one frame, or once; a rate and a lasting fault never end."""
     by_s: NotNegative = 0.0
-    """How late: `delay` (those behind wait), `late_reply` (those behind pass it); pause between bytes: `dribble`."""
+    """Delay of `delay` (later frames wait) and of `late_reply` (later frames pass it); pause between bytes of `dribble`."""
     jitter_s: NotNegative = 0.0
     """Of `delay`: by up to so much more, another for each frame."""
     drift_n_s: float = 0.0
@@ -109,11 +109,11 @@ class FaultSection(ConfigSection):
     ramp_s: NotNegative = 0.0
     """Of `override`: from 100 % to `percent` in so long, wall time; 0: at once."""
     reported: bool = True
-    """Of `override`: the controller reports it, where its link can; false: it goes on reporting 100 %."""
+    """Of `override`: the controller reports it if its link can; false: it reports 100 %."""
     force_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    """Of `spike`: how much more acts, at once; of `press`: what it exerts in contact, whatever is asked."""
+    """Of `spike`: additional force; of `press`: force in contact, independent of the command."""
     factor: Annotated[float, Field(ge=0, le=10)] = 1.0
-    """Of `lie`: it reads this share of what acts. At 0 it reads `offset_n` only. [1]"""
+    """Of `lie`: share of the true force that it reads. At 0 it reads `offset_n` only. [1]"""
     offset_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
     """Of `lie`: it reads so much more."""
 
@@ -169,7 +169,7 @@ class Effects(ConfigSection):
     """What the controller assumes and the machine does not do; sizes have no source but the shop's experience."""
 
     rate_field: ShareOrNone = 0.0
-    """Most that the removal rate changes from the part's centre to its rim, either way: a smooth field. [1]"""
+    """Largest change of the removal rate from the part's center to its rim, in either direction: a smooth field. [1]"""
     pad_half_life_s: Positive | None = None
     """Contact time in which the pad loses half of its rate; left out: it does not wear."""
     warm_up: ShareOrNone = 0.0
@@ -258,11 +258,11 @@ class InstrumentErrors(ConfigSection):
     """... whose points press otherwise with each set-up: size and direction are drawn anew for each map, `mount_nm` is
     their RMS, and nothing turns."""
     magnification: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
-    """By how much more the part is magnified than the instrument says. [1]"""
+    """Relative error of the stated magnification. [1]"""
     distortion: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
-    """By how much more at the part's rim than in its middle; between them with the square of the radius. [1]"""
+    """Relative error of the magnification at the part's rim, which grows with the square of the radius. [1]"""
     retrace_nm_per_urad: float = 0.0
-    """What a slope along x adds, where the beam does not come back the way it went. [nm/urad]"""
+    """Height error of a slope along x, because the reflected beam takes another way. [nm/urad]"""
     slope_noise_nm_per_urad: NotNegative = 0.0
     """Noise of a sample by the slope there, beside `hidden_truth.map_noise_nm`. [nm/urad]"""
     dead_pixels: ShareOrNone = 0.0
@@ -300,7 +300,7 @@ class Plant(OpticKeys):
     pv_nm: NotNegative = 150.0
     """Peak to valley of the same; one bump makes up what the RMS does not give."""
     origin_mm: Vector = (230.0, 160.0, 2085.0)
-    """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
+    """True position of the part's center in the robot's base frame. The cell assumes `part.origin_mm`."""
     rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
     """How it truly lies there, intrinsic x-y'-z''; `part.rotation_rpy_deg` of the cell."""
     seat_height_mm: float = 0.0
@@ -355,7 +355,7 @@ class Truth(ConfigSection):
     map_noise_nm: NotNegative = 0.3
     """Scatter of each sample of a map."""
     thermal_nm: float = 0.0
-    """How much higher the part's rim than its centre stands right after a pass, for it is warm."""
+    """Height of the warm part's rim above its center right after a pass."""
     thermal_s: Positive = 300.0
     """Time in which that falls to 37 %, simulated clock."""
     accel_mm_s2: Positive = 1000.0
@@ -611,7 +611,7 @@ class SimMonitorSection(SimLineSection):
 
 
 class LoaderFaults(ConfigSection):
-    """What a loader can do to parts, by the part that it is asked for; dropping and jamming once each."""
+    """Faults of a loader, by the requested part; a part is dropped, or jams, once."""
 
     wrong: Texts = ()
     """Parts in whose place it brings another, and says so."""
@@ -627,9 +627,9 @@ class SimLoaderSection(SimLineSection):
     """The part loader. Its times go with the simulated clock."""
 
     parts: Texts = ()
-    """What it has in store; left out: whatever it is asked for."""
+    """Parts in its magazine; left out: any requested part."""
     load_s: Positive = 30.0
-    """From its place to the seat and away again."""
+    """Time from its place to the seat and back."""
     unload_s: Positive = 20.0
     """And back."""
     watchdog_s: Positive = 5.0
