@@ -73,41 +73,41 @@ class FaultSection(ConfigSection):
     """Simulated fault (examples: docs/reference/faults.md). Several act together, in the order of the file."""
 
     device: Literal["robot", "actuator", "spindle", "loader", "force_sensor", "monitor"]
-    """Which of them has it."""
+    """Device with the fault."""
     what: Literal[
         "drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception",
         "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt",
         "spike", "press", "lie", "reverse", "override", "stand", "estop", "manual",
     ]  # fmt: skip
-    """What goes wrong."""
+    """Kind of the fault."""
     link: Literal["", "rtde", "dashboard", "primary"] = ""
-    """Which of the robot's links, with universal_robots; empty: all that it has."""
+    """Link of a `universal_robots` robot; empty: all."""
     direction: Literal["to_host", "to_device"] = "to_host"
-    """Of the frames that suffer: from the device, or to it."""
+    """Direction of the affected frames: from the device, or to it."""
     at_s: NotNegative | None = None
-    """Begins so long after the device came up, or read this file again, wall time."""
+    """Begin after the start of the device, or after it read this file again, wall time."""
     contact_s: NotNegative | None = None
-    """Begins after so long in contact, wall time."""
+    """Begin after this time in contact, wall time."""
     frame: Annotated[int, Field(ge=1)] | None = None
-    """Begins with that frame of its direction. [1]"""
+    """Number of the first affected frame in its direction. [1]"""
     every_s: Positive | None = None
-    """Begins again and again after so long, wall time."""
+    """Period of repetition, wall time."""
     rate: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Share of frames that suffer: all along, or from `at_s` or `contact_s` on. [1]"""
+    """Share of affected frames, from the start, `at_s` or `contact_s` on. [1]"""
     duration_s: NotNegative = 0.0
     """Duration in wall time; 0: one frame, or once; a rate and a lasting fault never end."""
     by_s: NotNegative = 0.0
-    """Delay of `delay` (later frames wait) and of `late_reply` (later frames pass it); pause between bytes of `dribble`."""
+    """Of `delay` (later frames wait) and `late_reply` (later frames pass it): the delay; of `dribble`: pause between bytes."""
     jitter_s: NotNegative = 0.0
-    """Of `delay`: by up to so much more, another for each frame."""
+    """Of `delay`: largest additional delay, drawn for each frame."""
     drift_n_s: float = 0.0
-    """Of `drift`: how fast; positive: it reads too much. [N/s]"""
+    """Of `drift`: rate; positive: the reading rises. [N/s]"""
     limit_n: NotNegative = 0.0
     """Of `saturate`: its largest reading."""
     percent: Annotated[float, Field(ge=0, le=200)] | None = None
-    """Of `override`: the speed that is left of the programmed one. [%]"""
+    """Of `override`: speed relative to the programmed one. [%]"""
     ramp_s: NotNegative = 0.0
-    """Of `override`: from 100 % to `percent` in so long, wall time; 0: at once."""
+    """Of `override`: time from 100 % to `percent`, wall time; 0: at once."""
     reported: bool = True
     """Of `override`: the controller reports it if its link can; false: it reports 100 %."""
     force_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
@@ -238,10 +238,10 @@ class Effects(ConfigSection):
 
 
 class InstrumentErrors(ConfigSection):
-    """What is in every map and not in the part. Sizes in nm are RMS over the circle about the part."""
+    """Errors of the instrument in every map. Sizes in nm are RMS over the circle about the part."""
 
     tilt_nm: NotNegative = 0.0
-    """Most tilt by which the part is set up anew for each map, along x and along y."""
+    """Largest tilt of the part in each set-up, along x and along y."""
     power_nm: float = 0.0
     """Power of its reference."""
     astigmatism_nm: NotNegative = 0.0
@@ -255,8 +255,7 @@ class InstrumentErrors(ConfigSection):
     mount_turns: bool = False
     """... which turns with the part, or stays with the instrument."""
     mount_anew: bool = False
-    """... whose points press otherwise with each set-up: size and direction are drawn anew for each map, `mount_nm` is
-    their RMS, and nothing turns."""
+    """... whose size and direction are drawn again for each map, with `mount_nm` as their RMS; nothing turns."""
     magnification: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
     """Relative error of the stated magnification. [1]"""
     distortion: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
@@ -279,18 +278,18 @@ MOST_OF_RADIUS = 0.99
 
 
 class Plant(OpticKeys):
-    """The part, where it lies, and the surface it starts with."""
+    """The part, its position, and its surface at the start."""
 
     seed: int = 1
-    """What all that is hidden is drawn from: the same number gives the same cell. [1]"""
+    """Seed of all hidden values: the same number gives the same cell. [1]"""
     speed: Annotated[float, Field(gt=0, le=10000)] = 60.0
     """Process seconds per wall second while the robot runs. [1]"""
     part_id: str = "DEMO-100"
     """The part's name in the maps; `part.id` of the cell must be the same."""
     aperture_mm: Annotated[float, Field(gt=5, le=5000)] | None = 100.0
-    """Diameter of a round part, which counts where no other key says the outline."""
+    """Diameter of a round part, if no other key states the outline."""
     edge_mm: NotNegative = 3.0
-    """Width of the rim that the true RMS and PV in the logs leave out."""
+    """Width of the edge zone that the true RMS and PV in the logs exclude."""
     ring_mm: Annotated[float, Field(ge=3, le=1000)] = 15.0
     """Width of the flush waster around the part: room for landing pads and overrun."""
     pitch_mm: Annotated[float, Field(gt=0.05, le=1)] = 0.5
