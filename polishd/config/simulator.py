@@ -97,7 +97,7 @@ class FaultSection(ConfigSection):
     duration_s: NotNegative = 0.0
     """Duration in wall time; 0: one frame, or once; a rate and a lasting fault never end."""
     by_s: NotNegative = 0.0
-    """Of `delay` (later frames wait) and `late_reply` (later frames pass it): the delay; of `dribble`: pause between bytes."""
+    """Delay of `delay` (later frames wait) and `late_reply` (they pass it); pause between bytes of `dribble`."""
     jitter_s: NotNegative = 0.0
     """Of `delay`: largest additional delay, drawn for each frame."""
     drift_n_s: float = 0.0
