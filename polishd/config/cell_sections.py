@@ -270,7 +270,7 @@ class DwellSection(ConfigSection):
     """Weight of the squared dwell, as rho = regularisation N_r / sigma_max^2: more conditions better and follows less.
     [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
-    """How the surface goes on beyond the part's rim, where the map has no data."""
+    """Continuation of the surface beyond the part's rim, where the map has no data."""
     cpu_limit_s: Seconds = 120.0
     """CPU seconds for the whole solve step of a cycle: removal model, iterations, objective, cross-check and curve. The
     wall time may be 10 times as long, plus 60 s."""

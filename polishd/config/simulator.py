@@ -73,47 +73,47 @@ class FaultSection(ConfigSection):
     """Simulated fault (examples: docs/reference/faults.md). Several act together, in the order of the file."""
 
     device: Literal["robot", "actuator", "spindle", "loader", "force_sensor", "monitor"]
-    """Which of them has it."""
+    """Device with the fault."""
     what: Literal[
         "drop", "delay", "duplicate", "garble", "dribble", "late_reply", "wrong_unit", "exception",
         "hang", "unplug", "reboot", "freeze", "drift", "saturate", "stick", "halt",
         "spike", "press", "lie", "reverse", "override", "stand", "estop", "manual",
     ]  # fmt: skip
-    """What goes wrong."""
+    """Kind of the fault."""
     link: Literal["", "rtde", "dashboard", "primary"] = ""
-    """Which of the robot's links, with universal_robots; empty: all that it has."""
+    """Link of a `universal_robots` robot; empty: all."""
     direction: Literal["to_host", "to_device"] = "to_host"
-    """Of the frames that suffer: from the device, or to it."""
+    """Direction of the affected frames: from the device, or to it."""
     at_s: NotNegative | None = None
-    """Begins so long after the device came up, or read this file again, wall time."""
+    """Begin after the start of the device, or after it read this file again, wall time."""
     contact_s: NotNegative | None = None
-    """Begins after so long in contact, wall time."""
+    """Begin after this time in contact, wall time."""
     frame: Annotated[int, Field(ge=1)] | None = None
-    """Begins with that frame of its direction. [1]"""
+    """Number of the first affected frame in its direction. [1]"""
     every_s: Positive | None = None
-    """Begins again and again after so long, wall time."""
+    """Period of repetition, wall time."""
     rate: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Share of frames that suffer: all along, or from `at_s` or `contact_s` on. [1]"""
+    """Share of affected frames, from the start, `at_s` or `contact_s` on. [1]"""
     duration_s: NotNegative = 0.0
-    """How long it goes on, wall time; 0: one frame, or once; for a rate, and for what lasts, from then on."""
+    """Duration in wall time; 0: one frame, or once; a rate and a lasting fault never end."""
     by_s: NotNegative = 0.0
-    """How late: `delay` (those behind wait), `late_reply` (those behind pass it); pause between bytes: `dribble`."""
+    """Delay of `delay` (later frames wait) and `late_reply` (they pass it); pause between bytes of `dribble`."""
     jitter_s: NotNegative = 0.0
-    """Of `delay`: by up to so much more, another for each frame."""
+    """Of `delay`: largest additional delay, drawn for each frame."""
     drift_n_s: float = 0.0
-    """Of `drift`: how fast; positive: it reads too much. [N/s]"""
+    """Of `drift`: rate; positive: the reading rises. [N/s]"""
     limit_n: NotNegative = 0.0
     """Of `saturate`: its largest reading."""
     percent: Annotated[float, Field(ge=0, le=200)] | None = None
-    """Of `override`: the speed that is left of the programmed one. [%]"""
+    """Of `override`: speed relative to the programmed one. [%]"""
     ramp_s: NotNegative = 0.0
-    """Of `override`: from 100 % to `percent` in so long, wall time; 0: at once."""
+    """Of `override`: time from 100 % to `percent`, wall time; 0: at once."""
     reported: bool = True
-    """Of `override`: the controller reports it, where its link can; false: it goes on reporting 100 %."""
+    """Of `override`: the controller reports it if its link can; false: it reports 100 %."""
     force_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    """Of `spike`: how much more acts, at once; of `press`: what it exerts in contact, whatever is asked."""
+    """Of `spike`: additional force; of `press`: force in contact, independent of the command."""
     factor: Annotated[float, Field(ge=0, le=10)] = 1.0
-    """Of `lie`: it reads this share of what acts. At 0 it reads `offset_n` only. [1]"""
+    """Of `lie`: share of the true force that it reads. At 0 it reads `offset_n` only. [1]"""
     offset_n: Annotated[float, Field(ge=-100, le=100)] = 0.0
     """Of `lie`: it reads so much more."""
 
@@ -169,7 +169,7 @@ class Effects(ConfigSection):
     """What the controller assumes and the machine does not do; sizes have no source but the shop's experience."""
 
     rate_field: ShareOrNone = 0.0
-    """Most that the removal rate changes from the part's centre to its rim, either way: a smooth field. [1]"""
+    """Largest change of the removal rate from the part's center to its rim, in either direction: a smooth field. [1]"""
     pad_half_life_s: Positive | None = None
     """Contact time in which the pad loses half of its rate; left out: it does not wear."""
     warm_up: ShareOrNone = 0.0
@@ -238,10 +238,10 @@ class Effects(ConfigSection):
 
 
 class InstrumentErrors(ConfigSection):
-    """What is in every map and not in the part. Sizes in nm are RMS over the circle about the part."""
+    """Errors of the instrument in every map. Sizes in nm are RMS over the circle about the part."""
 
     tilt_nm: NotNegative = 0.0
-    """Most tilt by which the part is set up anew for each map, along x and along y."""
+    """Largest tilt of the part in each set-up, along x and along y."""
     power_nm: float = 0.0
     """Power of its reference."""
     astigmatism_nm: NotNegative = 0.0
@@ -255,14 +255,13 @@ class InstrumentErrors(ConfigSection):
     mount_turns: bool = False
     """... which turns with the part, or stays with the instrument."""
     mount_anew: bool = False
-    """... whose points press otherwise with each set-up: size and direction are drawn anew for each map, `mount_nm` is
-    their RMS, and nothing turns."""
+    """... whose size and direction are drawn again for each map, with `mount_nm` as their RMS; nothing turns."""
     magnification: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
-    """By how much more the part is magnified than the instrument says. [1]"""
+    """Relative error of the stated magnification. [1]"""
     distortion: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
-    """By how much more at the part's rim than in its middle; between them with the square of the radius. [1]"""
+    """Relative error of the magnification at the part's rim, which grows with the square of the radius. [1]"""
     retrace_nm_per_urad: float = 0.0
-    """What a slope along x adds, where the beam does not come back the way it went. [nm/urad]"""
+    """Height error of a slope along x, because the reflected beam takes another way. [nm/urad]"""
     slope_noise_nm_per_urad: NotNegative = 0.0
     """Noise of a sample by the slope there, beside `hidden_truth.map_noise_nm`. [nm/urad]"""
     dead_pixels: ShareOrNone = 0.0
@@ -279,18 +278,18 @@ MOST_OF_RADIUS = 0.99
 
 
 class Plant(OpticKeys):
-    """The part, where it lies, and the surface it starts with."""
+    """The part, its position, and its surface at the start."""
 
     seed: int = 1
-    """What all that is hidden is drawn from: the same number gives the same cell. [1]"""
+    """Seed of all hidden values: the same number gives the same cell. [1]"""
     speed: Annotated[float, Field(gt=0, le=10000)] = 60.0
     """Process seconds per wall second while the robot runs. [1]"""
     part_id: str = "DEMO-100"
     """The part's name in the maps; `part.id` of the cell must be the same."""
     aperture_mm: Annotated[float, Field(gt=5, le=5000)] | None = 100.0
-    """Diameter of a round part, which counts where no other key says the outline."""
+    """Diameter of a round part, if no other key states the outline."""
     edge_mm: NotNegative = 3.0
-    """Width of the rim that the true RMS and PV in the logs leave out."""
+    """Width of the edge zone that the true RMS and PV in the logs exclude."""
     ring_mm: Annotated[float, Field(ge=3, le=1000)] = 15.0
     """Width of the flush waster around the part: room for landing pads and overrun."""
     pitch_mm: Annotated[float, Field(gt=0.05, le=1)] = 0.5
@@ -306,7 +305,7 @@ class Plant(OpticKeys):
     pv_nm: NotNegative = 150.0
     """Peak to valley of the same; one bump makes up what the RMS does not give."""
     origin_mm: Vector = (230.0, 160.0, 2085.0)
-    """Where the part's centre truly lies in the robot's base frame; `part.origin_mm` of the cell."""
+    """True position of the part's center in the robot's base frame. The cell assumes `part.origin_mm`."""
     rotation_rpy_deg: Vector = (180.0, 0.0, 0.0)
     """How it truly lies there, intrinsic x-y'-z''; `part.rotation_rpy_deg` of the cell."""
     seat_height_mm: float = 0.0
@@ -366,7 +365,7 @@ class Truth(ConfigSection):
     map_noise_nm: NotNegative = 0.3
     """Scatter of each sample of a map."""
     thermal_nm: float = 0.0
-    """How much higher the part's rim than its centre stands right after a pass, for it is warm."""
+    """Height of the warm part's rim above its center right after a pass."""
     thermal_s: Positive = 300.0
     """Time in which that falls to 37 %, simulated clock."""
     accel_mm_s2: Positive = 1000.0
@@ -622,7 +621,7 @@ class SimMonitorSection(SimLineSection):
 
 
 class LoaderFaults(ConfigSection):
-    """What a loader can do to parts, by the part that it is asked for; dropping and jamming once each."""
+    """Faults of a loader, by the requested part; a part is dropped, or jams, once."""
 
     wrong: Texts = ()
     """Parts in whose place it brings another, and says so."""
@@ -638,9 +637,9 @@ class SimLoaderSection(SimLineSection):
     """The part loader. Its times go with the simulated clock."""
 
     parts: Texts = ()
-    """What it has in store; left out: whatever it is asked for."""
+    """Parts in its magazine; left out: any requested part."""
     load_s: Positive = 30.0
-    """From its place to the seat and away again."""
+    """Time from its place to the seat and back."""
     unload_s: Positive = 20.0
     """And back."""
     watchdog_s: Positive = 5.0

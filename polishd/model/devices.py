@@ -195,9 +195,9 @@ class RobotTimes:
     lifts: bool = True
     """The robot can lift the tool off the part in motion (``Robot.lift``)."""
     unseen_stop_s: float = 0.0
-    """Longest that it stands, held by an operator, before anybody knows; 0: no longer than its link takes."""
+    """Longest standstill by an operator's feed hold before the link shows it; 0: the delay of the link."""
     block_end_s: float = 0.0
-    """Standard deviation of when it says that a block ended; 0: it says so exactly. Such errors do not add up."""
+    """Standard deviation of the reported end of a block; 0: exact. Such errors do not add up."""
     report_s: float = 0.1
     """Greatest age of a report of executed blocks: the period of the link's reports and their way."""
     reports_dwells: bool = True

@@ -159,16 +159,16 @@ def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
     """
     found = program_coverage(recipe, program)
     said = (
-        f"{program.name} reaches {found.reach_mm:.1f} mm from the part's centre, the part is {recipe.outline}; "
-        f"no point reaches {100 * found.unreachable:.1f} % of the clear aperture"
+        f"{program.name} reaches {found.reach_mm:.1f} mm from the part's center, the part is {recipe.outline}; "
+        f"the program leaves out {100 * found.unreachable:.1f} % of the clear aperture"
     )
-    mend = "name the program of this part, or mend the part's outline ([part]) or program.offset_mm"
+    advice = "name the program of this part, or correct the part's outline ([part]) or program.offset_mm"
     if found.outside > MOST_OUTSIDE:
         away = f"{100 * found.outside:.0f} % of its path lies more than {LANDING_MM:g} mm beyond the part's rim"
-        return said, f", and {away}: {mend}"
+        return said, f", and {away}: {advice}"
     if found.unreachable > MOST_UNREACHED and covers == "aperture":
-        zone = 'post it with closer lines where it leaves gaps; where it is for a zone only, say covers = "zone"'
-        return said, f": {mend}; {zone}"
+        zone = 'use closer lines where it leaves gaps; for a program of a zone only, set program.coverage = "zone"'
+        return said, f": {advice}; {zone}"
     return said, ""
 
 

@@ -121,15 +121,15 @@ def test_check_says_what_the_program_covers_and_where_the_seat_is_proved(polishd
     found = polishd("check", files.cell, "--json").answer
     assert found["seat"].startswith("checked with 0.8 N at x 0.0, y 8.5 mm; x -7.4, ")
     covers = found["covers"]
-    assert covers.startswith("program.rnc reaches 16.0 mm from the part's centre, the part is a circle of 20 mm; ")
-    assert covers.endswith("no point reaches 0.0 % of the clear aperture")
+    assert covers.startswith("program.rnc reaches 16.0 mm from the part's center, the part is a circle of 20 mm; ")
+    assert covers.endswith("the program leaves out 0.0 % of the clear aperture")
 
 
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("change", "reach_mm", "says"),
     [
-        ({"part": {"aperture_mm": 60.0}}, 16.0, "the part is a circle of 60 mm; no point reaches "),
+        ({"part": {"aperture_mm": 60.0}}, 16.0, "the part is a circle of 60 mm; the program leaves out "),
         (
             {"program": {"offset_mm": [40.0, 0.0, 0.0]}},
             52.7,
