@@ -280,8 +280,12 @@ def in_program_frame(config: CellConfig | None, points: FloatArray, axis: FloatA
 
 def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> None:
     """ProgramError with every reason for which the cell's `plan` or `run` would refuse the program with any map."""
-    without_map = {"instrument": InstrumentSection(), "part": config.part.model_copy(update={"form": None})}
-    recipe = make_recipe(config.model_copy(update=without_map), hooks)
+    unneeded = {
+        "instrument": InstrumentSection(),
+        "part": config.part.model_copy(update={"form": None}),
+        "touch_off": None,  # it is made like the program that this one replaces
+    }
+    recipe = make_recipe(config.model_copy(update=unneeded), hooks)
     found = precheck.precheck_plan(recipe, program, hooks.check_plan)
     if found:
         says = "\n".join(f"  {line}" for line in found)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
-from polishd.config.cell import load_config
+from polishd.config.cell import CellConfig, load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
 from polishd.plugin_loader import plugins_of
 from polishd.programs.make import make_program
@@ -85,9 +85,14 @@ def write_language_cell(out: Path, language: str, encoding: EncodingOption, **jo
     cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language}"')
     files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}, "part": {"edge_mm": 1.0}}))
     config = load_config(files.cell)
+    config.program_path.write_bytes(language_program(config, encoding))
+    return files
+
+
+def language_program(config: CellConfig, encoding: EncodingOption) -> bytes:
+    """A raster in the language of the cell."""
     dwell_s = 0.1 if encoding == "dwell" else None
     options = MakeOptions(
         "raster", config.program_path, encoding=encoding, dwell_s=dwell_s, feed_mm_min=300.0, step_mm=1.0, pitch_mm=1.0
     )
-    config.program_path.write_bytes(make_program(options, config, plugins_of(config)).text)
-    return files
+    return make_program(options, config, plugins_of(config)).text

@@ -133,12 +133,21 @@ class _Cell:
         """Its text, with (C + 1,) mm/s of each track and, last, between them; as it is read back."""
         path, axes = self.joined(tracks)
         points, own = in_program_frame(self.config, path.points_mm, axes)
-        feed = 60 * speed_mm_s[path.track]  # BETWEEN is the last one
+        feed = 60 * self.written_mm_s(speed_mm_s)[path.track]  # BETWEEN is the last one
         text = path_program(points, own, feed, "first touch", encoding=self.encoding, to=self.dialect)
         program = read(self.dialect, text, NAME)
         if program.n != len(path.track):
             raise ComputeError(f"the touch's program has {program.n} timed moves, its path {len(path.track)}")
         return text, program, path
+
+    def written_mm_s(self, speed_mm_s: FloatArray) -> FloatArray:
+        """The nearest speeds that the language can write, at least one step."""
+        own = self.dialect
+        if self.encoding == "time" or not isinstance(own, LanguageProfile) or own.move_time is None:
+            return speed_mm_s
+        rules = own.move_time
+        step = rules.speed_quantum * own.feed_units_mm_min[rules.speed_unit] / 60
+        return np.asarray(np.maximum(np.round(speed_mm_s / step), 1.0) * step)
 
     def forward(self, program: Program, seconds: FloatArray) -> ForwardModel:
         """The forward model that identification would have of such a pass."""

@@ -112,11 +112,10 @@ MAKERS: Mapping[str, RobotMaker] = {
             "actuator.watchdog_ms": (400, LIFTS_SOON),
             "actuator.release_s": (0.2, LIFTS_SOON),
             "actuator.retract_s": (0.5, LIFTS_SOON),
-            "machine.least_point_s": (0.4, "the shortest point: 7 of them last longer than a lift"),
+            "machine.least_point_s": (0.18, "the shortest point: 7 of them last longer than a lift"),
             "job.stream_ahead_s": (1.2, "motion that is ahead when contact begins: less than 7 points last"),
         },
-        encoding="dwell",
-        dwell_s=0.5,
+        encoding="time",  # with waits only 3 points are in the 8 instructions
     ),
     "kuka": RobotMaker(
         "KUKA, behind C3 Bridge",

@@ -52,7 +52,8 @@ def test_the_page_is_written_from_what_is_kept() -> None:
 @pytest.mark.slow
 @pytest.mark.system
 @pytest.mark.timeout(1800)
-def test_the_abb_example_reaches_its_tolerance(tmp_path: Path) -> None:
-    finding = measure("abb_cell.toml", tmp_path)
+@pytest.mark.parametrize("name", ["abb_cell.toml", "fanuc_rmi/cell.toml", "universal_robots/cell.toml"])
+def test_an_example_reaches_its_tolerance(tmp_path: Path, name: str) -> None:
+    finding = measure(name, tmp_path)
     assert finding.is_accepted, line(finding)
     assert finding.last_nm == pytest.approx(finding.true_nm, abs=1.0)

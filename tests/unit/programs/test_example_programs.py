@@ -42,3 +42,19 @@ def test_check_takes_the_cell(cell: Path) -> None:
     done = CliRunner().invoke(app, ["check", str(cell), "--json"])
     assert done.exit_code == 0, done.exception
     assert json.loads(done.stdout)["program"].endswith("time in the time")
+
+
+@pytest.mark.full
+def test_a_first_touch_in_a_language_of_coarse_speeds_keeps_to_their_steps(tmp_path: Path) -> None:
+    """INFORM has no time of a move, and speeds in steps of 0.1 mm/s."""
+    shutil.copy(EXAMPLES / "instrument.toml", tmp_path)
+    cell = Path(shutil.copytree(EXAMPLES / "yaskawa", tmp_path / "cell")) / "cell.toml"
+    text = cell.read_text().replace("aperture_mm = 14.0", "aperture_mm = 40.0")
+    cell.write_text(text.replace("[process]", '[process]\nestimates = "machine"'))
+    touch = cell.parent / "touch"
+    done = CliRunner().invoke(app, ["calibrate", "first-touch", str(cell), "--out", str(touch), "--part", "W-1"])
+    assert done.exit_code == 0, done.exception
+    assert len(set(re.findall(r"V=\d+\.\d\b", (touch / "touch.rnc").read_text()))) > 3
+    cell.write_text(f'include = ["touch/fragment.toml"]\n{cell.read_text()}')
+    checked = CliRunner().invoke(app, ["check", str(cell)])
+    assert checked.exit_code == 0, checked.exception

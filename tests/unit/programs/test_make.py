@@ -306,6 +306,17 @@ def test_what_its_plan_or_run_would_refuse_is_not_written(
     assert files == ["cell"]
 
 
+def test_a_program_replaces_one_in_another_language_though_the_cell_has_a_touch_off(tmp_path: Path) -> None:
+    """The touch-off is made like the program that there is, which is not the one to come."""
+    path = load_config(EXAMPLE).program.path
+    cell = cell_with(tmp_path, ('format = "rs274"', 'format = "inform"'))
+    program = cell.parent / path
+    program.write_text("G21 G90\nG1 X0 Y0 Z0 F100\n")
+    done = call("raster", "--cell", cell, "--pitch", 4, "--out", program)
+    assert done.exit_code == 0, done.exception
+    assert program.read_bytes().startswith(b"/JOB")
+
+
 def test_without_a_cell_it_says_what_it_could_not_check(tmp_path: Path) -> None:
     said, _ = made(tmp_path, "raster", "--aperture", "circle:30")
     assert said["not_checked"] == list(UNCHECKED)

@@ -83,6 +83,17 @@ def test_a_dwell_of_nothing_gets_nothing_of_the_move_before_it() -> None:
     assert [found[seq].end_s - found[seq].start_s for seq in (0, 1)] == pytest.approx([9 * RATE_S, 0.0])
 
 
+def test_the_two_samples_that_show_standstill_count_all_that_was_executed() -> None:
+    """``hold`` returns with the second one: the count must not go up after it."""
+    found = feed(watch(), [at(1, 1), at(2, 1)])
+    stopped = at(3, 3, ScriptPhase.HELD, runtime=UrRuntimeState.STOPPED)
+    assert not stopped.plays
+    feed(found, [stopped, replace(stopped, time_s=stopped.time_s + RATE_S)])
+    assert (len(found), found.state) == (3, "held")
+    feed(found, [replace(stopped, time_s=stopped.time_s + more * RATE_S) for more in (2, 3, 4)])
+    assert len(found) == 3
+
+
 def test_no_time_passes_while_it_waits_or_is_held() -> None:
     found = watch()
     go(found, 2)
