@@ -107,7 +107,9 @@ def lines(rows: Rows) -> list[list[str]]:
     Empty for a single line that is judged as measured: the table of measurements shows it.
     """
     judged = [[one for one in row.get("judged") or () if isinstance(one, Mapping)] for row in rows]
-    if not judged or (len(judged[-1]) < 2 and not any(map(_uncertainty, judged[-1]))):
+    if not judged or (
+        len(judged[-1]) < 2 and not any(figure(one.get("bound"), "g") or _ripple(one) for one in judged[-1])
+    ):
         return []
     values = [{one.get("what"): one for one in measured} for measured in judged]
     return [
@@ -150,12 +152,16 @@ def _uncertainty(line: Mapping[str, Any]) -> str:
     if bound := figure(line.get("bound"), ".3g"):
         without = f", {removed} removed" if removed else ""
         return f" (at most {bound} {unit} truly, 95 %; guard band {figure(line.get('guard'), '.2g')} {unit}{without})"
-    value, rippled, high = (figure(line.get(key), ".3g") for key in ("value", "with_ripple", "with_ripple_high"))
-    ripple = (
-        f" ({rippled} {unit} with ripple that the map does not show, up to {high})" if high and high != value else ""
-    )
     sigma = figure(line.get("uncertainty"), ".2g")
-    return ripple + (f" (± {sigma} {unit})" if sigma else "")
+    return _ripple(line) + (f" (± {sigma} {unit})" if sigma else "")
+
+
+def _ripple(line: Mapping[str, Any]) -> str:
+    """Return the figure with the ripple that the map does not show; empty where that is no difference."""
+    value, rippled, high = (figure(line.get(key), ".3g") for key in ("value", "with_ripple", "with_ripple_high"))
+    if not high or high == value:
+        return ""
+    return f" ({rippled} {text(line.get('unit'))} with ripple that the map does not show, up to {high})"
 
 
 def measurement(rows: Rows, index: int) -> str:
