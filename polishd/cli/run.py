@@ -90,7 +90,7 @@ class _Line:
         beyond = "" if band is None else f", {band:.2f} nm in the tolerance's band"
         self._print(f"measurement {cycle}: RMS {data['rms_nm']:.2f} nm, PV {data['pv_nm']:.1f} nm{beyond}")
         judged = line_results(data)
-        if len(judged) > 1 or any(one.bound is not None for one in judged):
+        if len(judged) > 1 or not all(one.judged_as_measured for one in judged):
             held = sum(one.holds for one in judged)
             self._print(f"{held} of {len(judged)} lines of the tolerance hold; the worst: {worst_line(judged)}")
 

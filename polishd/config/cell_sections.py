@@ -269,6 +269,9 @@ class DwellSection(ConfigSection):
     regularisation: NotNegative = 1e-4
     """Weight of the squared dwell, as rho = regularisation N_r / sigma_max^2: more conditions better and follows less.
     [1]"""
+    feed_change: NotNegative = 0.0
+    """Weight of the change of feed between neighboring blocks in the objective, for programs whose times are feeds. 1:
+    it counts as much as the removal that the machine's acceleration loses without it. 0: it does not count. [1]"""
     extension: Literal["none", "nearest", "c1", "gerchberg_papoulis"] = "c1"
     """Continuation of the surface beyond the part's rim, where the map has no data."""
     cpu_limit_s: Seconds = 120.0

@@ -247,8 +247,9 @@ class MapMeasured(Event):
     ]
     judged: Annotated[
         Sequence[Mapping[str, Any]],
-        "each line of the tolerance: `what`, `value`, `limit`, `unit`, `uncertainty` (None: not known), `bound`, "
-        "`guard` (None: judged as measured), `removed`, `holds`",
+        "each line of the tolerance: `what`, `value`, `limit`, `unit`, `uncertainty` (None: not known), `with_ripple`, "
+        "`with_ripple_high` (None: no ripple is hidden), `bound`, `guard` (None: judged as measured), `removed`, "
+        "`holds`",
     ] = ()
     spikes: Annotated[int, "number of samples that were rejected as spikes"]
     notes: Annotated[Sequence[str], "remarks on the map"]

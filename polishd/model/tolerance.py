@@ -126,6 +126,11 @@ class LineResult:
             return ""
         return f"{self.with_ripple:.3g} with ripple that the map does not show (up to {self.with_ripple_high:.3g})"
 
+    @property
+    def judged_as_measured(self) -> bool:
+        """Return whether the measured value alone decides: there is no bound, and no ripple that makes a difference."""
+        return self.bound is None and not self.ripple_words
+
     def facts(self) -> dict[str, Any]:
         """For summary, journal and events: its fields, the ``guard`` band, and whether it ``holds``."""
         return {**asdict(self), "guard": self.guard, "holds": self.holds}

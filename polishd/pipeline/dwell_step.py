@@ -164,6 +164,8 @@ LEAST_COVERAGE = 0.9
 """A program that covers a smaller share of the clear aperture counts as another part's."""
 LEAST_ON_PART = 0.5
 """A program with a smaller share of its points on the part counts as another part's."""
+FEED_TIMED = ("feed", "inverse", "time")
+"""Encodings whose times are moves: a change of feed takes the machine time."""
 ENVELOPE_ROUNDS = 2
 """Number of re-solves with the times that acceleration delivers as the lower bound."""
 CROSS_CHECK_GAP = 1e-3
@@ -227,6 +229,9 @@ def solve_tools(
     if len(legs) == 1:
         precheck.require_removal_time(recipe, measured, legs[0].answer, bounds.lower_s)
     found = step.round(bounds, warm, LAST_SHARE)
+    if recipe.dwell.feed_change and any(leg.program.encoding in FEED_TIMED for leg in legs):
+        step = replace(step, feed_change=step.feed_change_rows(found))
+        found = step.round(bounds, found.dwell, LAST_SHARE)
     for _ in range(ENVELOPE_ROUNDS):
         late = found.expected_s > found.dwell.time_s * 1.001 + 1e-4
         if not late.any():
@@ -268,6 +273,34 @@ class _Step:
     legs: tuple[ToolSubproblem, ...]
     measured: MeasureResult
     time_limit: TimeLimit
+    feed_change: scipy.sparse.csr_array | None = None
+    """Term of the objective (`DwellProblem.feed_change`)."""
+
+    def feed_change_rows(self, found: SolveRound) -> scipy.sparse.csr_array:
+        """(k, n) rows ``w (t_j / l_j - t_i / l_i)`` of blocks that follow each other on feed-timed programs.
+
+        w is such that at this solution the squares sum to `dwell.feed_change` times the mean square of the removal that
+        the machine's acceleration takes from it.
+        """
+        length = self.of_legs(lambda leg: leg.program.length_mm)
+        timed = np.concatenate([np.full(leg.program.n, leg.program.encoding in FEED_TIMED) for leg in self.legs])
+        ends = np.cumsum([leg.program.n for leg in self.legs])[:-1]
+        follows = timed[1:] & timed[:-1] & (length[1:] > 0) & (length[:-1] > 0)
+        follows[ends - 1] = False
+        first = np.flatnonzero(follows)
+        static = 1.0 if self.divide_by is None else self.divide_by
+        slowness = 1 / (np.where(length > 0, length, 1.0) * static)
+        row = np.arange(first.size)
+        entries = np.concatenate([slowness[first + 1], -slowness[first]])
+        where = np.concatenate([row, row]), np.concatenate([first + 1, first])
+        shape = (first.size, length.size)
+        rows = scipy.sparse.csr_array(scipy.sparse.coo_array((entries, where), shape=shape))
+        solved = found.dwell.time_s * static
+        late = self.effect.removal_nm((found.expected_s - found.dwell.time_s) * static)[self.surface.mask]
+        change = rows @ solved
+        size = float(change @ change)
+        lost = float(np.mean(late**2))
+        return rows * (float(np.sqrt(self.dwell.feed_change * lost / size)) if size > 0 else 0.0)
 
     def of_legs(self, value: Callable[[ToolSubproblem], FloatArray]) -> FloatArray:
         """(n,) values of all points, tool by tool."""
@@ -364,6 +397,7 @@ class _Step:
             lower_s=bounds.lower_s * scale,
             upper_s=bounds.upper_s * scale,
             regularisation=self.regularisation,
+            feed_change=self.feed_change,
             band_period_mm=self.recipe.job.lsf_period_mm,
             warm=None if warm is None else WarmStart(warm.time_s * scale, warm.state),
         )

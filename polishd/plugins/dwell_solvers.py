@@ -55,10 +55,11 @@ def solve_auto(problem: DwellProblem, within_s: float) -> DwellSolution:
     Conjugate gradients win where regularisation conditions the problem, a factor where it does not and is small.
     Arguments, result and errors as those solvers'; the certificate names the one that was taken.
     """
-    if isinstance(problem.effect, ConvolutionEffect):
+    plain = problem.feed_change is None
+    if isinstance(problem.effect, ConvolutionEffect) and plain:
         return douglas_rachford.solve(problem, within_s)
     check(problem)
-    if isinstance(problem.effect, SpreadEffect):
+    if isinstance(problem.effect, SpreadEffect) and plain:
         return alternating_directions.solve(problem, within_s)
     if problem.effect.n <= FEW and isinstance(problem.effect, SparseEffect) and condition(problem) > ILL:
         return interior_point.solve(problem, within_s)
@@ -211,12 +212,16 @@ def _program(problem: DwellProblem, with_hessian: bool) -> tuple[qpsolvers.Probl
     unit = float(1 / np.sqrt(np.median(curvature[curvature > 0])))
     rows = sparse.csr_array(unit * rows)
     linear, most = unit * (p * lower + problem.price_nm2_per_s), (problem.upper_s - lower) / unit
+    held = sparse.csr_array(p * unit**2 * sparse.eye_array(n))
+    if problem.feed_change is not None:
+        change = 2 * (problem.feed_change.T @ problem.feed_change)
+        held, linear = sparse.csr_array(held + unit**2 * change), linear + unit * (change @ lower)
     if with_hessian:
-        hessian = _csc(rows.T @ rows + p * unit**2 * sparse.eye_array(n))
+        hessian = _csc(rows.T @ rows + held)
         return qpsolvers.Problem(hessian, linear + rows.T @ miss, lb=np.zeros(n), ub=most), unit
     free: FloatArray = np.full(m, np.inf)
     return qpsolvers.Problem(
-        _csc(sparse.diags_array(np.concatenate([np.full(n, p * unit**2), np.ones(m)]))),
+        _csc(sparse.block_diag([held, sparse.eye_array(m)])),
         np.concatenate([linear, np.zeros(m)]),
         A=_csc(sparse.hstack([rows, -sparse.eye_array(m)])),
         b=-miss,

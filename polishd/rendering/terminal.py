@@ -134,7 +134,7 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
 def outcome_tables(summary: Mapping[str, Any]) -> RenderableType:
     """Table of measurements, and of the tolerance unless it is a single limit that is judged as measured."""
     judged = [one for cycle in summary["cycles"] for one in line_results(cycle)]
-    if not judged or (summary.get("tolerance_nm") is not None and all(one.bound is None for one in judged)):
+    if not judged or (summary.get("tolerance_nm") is not None and all(one.judged_as_measured for one in judged)):
         return cycle_table(summary)
     return Group(cycle_table(summary), tolerance_table(summary))
 
@@ -155,6 +155,7 @@ def tolerance_table(summary: Mapping[str, Any]) -> Table:
 
 def _holding(line: LineResult) -> str:
     word = "yes" if line.holds else f"no, {line.excess:.3g} times the limit"
+    word += f"; {line.ripple_words}" if line.ripple_words else ""
     if line.bound is not None:
         return f"{word}; {line.bound_words}"
     if line.uncertainty is None:

@@ -164,6 +164,9 @@ def _requirement_notes(last: Sequence[LineResult]) -> Iterator[str]:
     for one in last:
         if one.bound is not None:
             yield f"{symbols(one.what)}: {symbols(one.bound_words)}; judged by this bound."
+    for one in last:
+        if one.bound is None and one.ripple_words:
+            yield f"{symbols(one.what)}, {symbols(one.unit)}: {one.ripple_words}; judged with it."
     if any(one.unsure for one in last):
         yield "Undecided: the limit lies within the uncertainty, and either result is possible."
 

@@ -22,7 +22,7 @@ from polishd.model.surface import FloatArray
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.alternating_step import AlternatingStep, step_metric
 from polishd.process.dwell.certificate import certify_dwell, gap_at
-from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check, require_no_feed_change
 from polishd.process.dwell.quadratic import QuadraticObjective, projected_gradient, quadratic, warm_start_s
 from polishd.process.removal import combined_effect
 from polishd.process.removal.spread_effect import SpreadEffect
@@ -61,6 +61,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-5, g
     """
     limit = TimeLimit(within_s)
     check(problem)
+    require_no_feed_change(problem, NAME)
     if not isinstance(problem.effect, SpreadEffect):
         raise ComputeError(f"{NAME} needs an effect without a matrix: use newton_cg")
     f = quadratic(problem)

@@ -8,7 +8,13 @@ from polishd.model.dwell import DwellSolution, OptimalityCertificate
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import QuadraticObjective, conditioning_note, projected_gradient, quadratic
+from polishd.process.dwell.quadratic import (
+    QuadraticObjective,
+    conditioning_note,
+    feed_change_nm2,
+    projected_gradient,
+    quadratic,
+)
 from polishd.process.metrology.spectra import band_rms
 from polishd.process.removal.combined_effect import effect_error, effect_note
 
@@ -56,7 +62,8 @@ def certify_dwell(
     f = f or quadratic(problem)
     objective, slope = f.at(t)
     gap = gap_at(problem, t, objective, slope)
-    computed = [note for note in (conditioning_note(problem, f), *_effect_notes(problem, removal)) if note is not None]
+    found = (conditioning_note(problem, f), _feed_note(problem, t), *_effect_notes(problem, removal))
+    computed = [note for note in found if note is not None]
     certificate = OptimalityCertificate(
         solver=solver,
         objective=objective,
@@ -77,6 +84,13 @@ def certify_dwell(
         predicted_band_rms_nm=band,
     )
     return DwellSolution(t, removal, residual, certificate, problem.lower_s, problem.upper_s)
+
+
+def _feed_note(problem: DwellProblem, time_s: FloatArray) -> str | None:
+    if problem.feed_change is None:
+        return None
+    counts = feed_change_nm2(problem.feed_change, time_s)
+    return f"the change of feed between blocks counts {counts:.3g} nm^2 in the objective"
 
 
 def _effect_notes(problem: DwellProblem, removal: FloatArray) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from polishd.model.dwell import DwellSolution, Start
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.certificate import certify_dwell
-from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check, require_no_feed_change
 from polishd.process.dwell.quadratic import projected_gradient, quadratic, warm_start_s
 from polishd.process.dwell.splitting_iteration import Array, Iteration, NumpyIteration, SplitProblem
 from polishd.process.removal.convolution import ConvolutionEffect
@@ -217,6 +217,7 @@ def solve(problem: DwellProblem, within_s: float, kkt_tolerance: float = 1e-6) -
     """
     limit = TimeLimit(within_s)
     check(problem)
+    require_no_feed_change(problem, NAME)
     effect = problem.effect
     if not isinstance(effect, ConvolutionEffect):
         raise ComputeError(

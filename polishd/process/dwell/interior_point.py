@@ -104,6 +104,9 @@ class BandedHessian:
         weight = np.ones(rows.shape[0]) if problem.weight is None else problem.weight[problem.solve_mask]
         rows = use_32_bit_indices(sparse.csr_array(sparse.diags_array(np.sqrt(2 * weight / weight.size)) @ rows))
         product = sparse.csr_array(rows.T @ rows)
+        if problem.feed_change is not None:
+            change = sparse.csr_array(problem.feed_change[:, where])
+            product = sparse.csr_array(product + 2 * (change.T @ change))
         order, row, column = _in_order(product)
         width = int(np.abs(row - column).max(initial=0)) + 1
         _refuse_above(MAX_ENTRIES, float(where.size * width), where.size)

@@ -12,7 +12,7 @@ from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
 from polishd.model.surface import FloatArray
 from polishd.process.dwell.certificate import certify_dwell
-from polishd.process.dwell.problem import DwellProblem, TimeLimit, check
+from polishd.process.dwell.problem import DwellProblem, TimeLimit, check, require_no_feed_change
 
 NAME = "lucy_richardson"
 ITERATIONS = 100
@@ -41,6 +41,7 @@ def solve(problem: DwellProblem, within_s: float, iterations: int = ITERATIONS) 
     """
     limit = TimeLimit(within_s)
     check(problem)
+    require_no_feed_change(problem, NAME)
     effect, mask = problem.effect, problem.solve_mask
     weight = np.where(mask, 1.0 if problem.weight is None else problem.weight, 0.0)
     target = np.where(mask, np.maximum(problem.target_nm, 0.0), 0.0)

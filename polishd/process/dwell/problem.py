@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import sparse
 
 from polishd.model.dwell import Start
 from polishd.model.errors import ComputeError
@@ -20,7 +21,8 @@ from polishd.process.removal.effect import Effect, SparseEffect
 class DwellProblem:
     """``min sum_k weight_k (R t - h)_k^2 / N_r + regularisation ||t||^2 + price sum(t)`` over ``solve_mask``, bounded.
 
-    N_r is the number of samples in ``solve_mask``; without weights and price it is paper eq. 50 with bounds.
+    N_r is the number of samples in ``solve_mask``; without weights and price it is paper eq. 50 with bounds. The square
+    of the change of feed between neighboring blocks may add to it.
     """
 
     effect: Effect
@@ -40,6 +42,8 @@ class DwellProblem:
     """(ny, nx) how much a sample counts, not negative; None: all alike."""
     price_nm2_per_s: float = 0.0
     """Price of a second of total time: the multiplier of a time budget and the parameter of a residual curve."""
+    feed_change: sparse.csr_array | None = field(default=None, repr=False)
+    """(k, n) nm/s: the squares of its products with the dwell add to the objective (`feed_change_rows`); None: none."""
     band_period_mm: float | None = None
     """The certificate states the RMS of periods above it, too."""
     warm: Start | None = field(default=None, repr=False)
@@ -84,7 +88,27 @@ def check(problem: DwellProblem) -> None:
     if not (np.isfinite(problem.price_nm2_per_s) and problem.price_nm2_per_s >= 0):
         raise ComputeError(f"the price of time must be finite and not negative, not {problem.price_nm2_per_s}")
     _check_weight(problem)
+    _check_feed_change(problem)
     _check_effect(problem)
+
+
+def require_no_feed_change(problem: DwellProblem, solver: str) -> None:
+    """ComputeError where the problem has a term that the solver does not know."""
+    if problem.feed_change is not None:
+        raise ComputeError(
+            f"{solver} does not know the change of feed in the objective: use auto, newton_cg, interior_point or qp, "
+            "or set dwell.feed_change = 0"
+        )
+
+
+def _check_feed_change(problem: DwellProblem) -> None:
+    rows = problem.feed_change
+    if rows is None:
+        return
+    if rows.shape[1] != problem.effect.n:
+        raise ComputeError(f"feed_change is of {rows.shape[1]} dwell points, the effect has {problem.effect.n}")
+    if not np.isfinite(rows.data).all():
+        raise ComputeError("feed_change is not finite")
 
 
 def _check_weight(problem: DwellProblem) -> None:

@@ -26,7 +26,7 @@ GRAM_MOST = 32
 
 @dataclass(frozen=True)
 class QuadraticObjective:
-    """``f(t) = |R t - h|^2 / N_r + regularisation |t|^2 + price sum(t)`` (eq. 50, with its square outside the sum).
+    """``f(t) = |R t - h|^2 / N_r + regularisation |t|^2 + price sum(t) + |D t|^2`` (eq. 50, squared outside the sum).
 
     R is restricted to the m = N_r samples that count; with weights its rows, and h, carry their square roots.
     """
@@ -45,6 +45,8 @@ class QuadraticObjective:
     """Price of a second of total time, nm^2/s."""
     gram: Product | None = None
     """(n,) s -> (n,): R'R, where that is quicker than R and R' one after the other."""
+    feed_change: sparse.csr_array | None = None
+    """(k, n) D, nm/s: ``|D t|^2`` adds to the objective."""
     roughly: tuple[Product, Product] | None = None
     """Both products in float32, where that is quicker: good for directions to search in, and for nothing else."""
 
@@ -67,17 +69,22 @@ class QuadraticObjective:
     def _at(self, time_s: FloatArray, forward: Product, backward: Product) -> tuple[float, FloatArray]:
         miss = forward(time_s) - self.target
         slope = 2 / self.target.size * backward(miss) + 2 * self.regularisation * time_s + self.price
+        if self.feed_change is not None:
+            slope += 2 * (self.feed_change.T @ (self.feed_change @ time_s))
         return self._value(time_s, miss), slope
 
     def _value(self, time_s: FloatArray, miss: FloatArray) -> float:
         held = self.regularisation * float(time_s @ time_s) + self.price * float(time_s.sum())
-        return float(miss @ miss) / self.target.size + held
+        return float(miss @ miss) / self.target.size + held + feed_change_nm2(self.feed_change, time_s)
 
     @cached_property
     def safe_step(self) -> float:
         """s^2/nm^2: 1 / an upper bound of the Hessian's eigenvalues (its largest row sum: R is not negative)."""
         rows = self.backward(self.forward(np.ones(self.n)))  # once: not worth making R'R for
         largest = 2 / self.target.size * float(rows.max()) + 2 * self.regularisation
+        if self.feed_change is not None:
+            size = abs(self.feed_change)
+            largest += 2 * float((size.T @ (size @ np.ones(self.n))).max())
         return 1 / largest if largest > 0 else 1.0
 
     def curvature(self, direction: FloatArray) -> FloatArray:
@@ -97,7 +104,15 @@ class QuadraticObjective:
         """Turn R'R of a direction into the Hessian's product, in place."""
         image *= 2 / self.target.size
         image += 2 * self.regularisation * direction
+        if self.feed_change is not None:
+            image += 2 * (self.feed_change.T @ (self.feed_change @ direction))
         return image
+
+
+def feed_change_nm2(rows: sparse.csr_array | None, time_s: FloatArray) -> float:
+    """Return the change of feed in the objective, nm^2; 0 without one."""
+    change = np.zeros(0) if rows is None else rows @ time_s
+    return float(change @ change)
 
 
 def quadratic(problem: DwellProblem) -> QuadraticObjective:
@@ -116,12 +131,13 @@ def quadratic(problem: DwellProblem) -> QuadraticObjective:
             rows = use_32_bit_indices(sparse.csr_array(sparse.diags_array(root) @ rows))
         columns = use_32_bit_indices(sparse.csr_array(rows.T))
         return QuadraticObjective(
-            rows.__matmul__, columns.__matmul__, target, effect.n, *rest, gram=_gram(rows, columns)
+            rows.__matmul__, columns.__matmul__, target, effect.n, *rest, _gram(rows, columns), problem.feed_change
         )
 
     rough = to_float32(effect)
     roughly = None if rough is effect else _products(rough, mask, root)
-    return QuadraticObjective(*_products(effect, mask, root), target, effect.n, *rest, roughly=roughly)
+    products = _products(effect, mask, root)
+    return QuadraticObjective(*products, target, effect.n, *rest, None, problem.feed_change, roughly)
 
 
 def _gram(rows: sparse.csr_array, columns: sparse.csr_array) -> Product | None:

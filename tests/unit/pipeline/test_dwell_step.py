@@ -106,6 +106,18 @@ def test_a_free_rim_reaches_the_removal_model() -> None:
     np.testing.assert_allclose(rim.inside_mm(np.array([0.0, APERTURE_MM / 2 + 1]), np.zeros(2)), [12.0, -1.0])
 
 
+def test_the_certificate_states_what_the_shortest_times_remove() -> None:
+    recipe = small_recipe()
+    measured = steps.condition(recipe, small_map())
+    found = dwell_step.solve(recipe, small_program(), measured)
+    removal = found.answer.removal_nm(found.dwell.lower_s)
+    assert found.dwell.certificate.floor_nm == pytest.approx(removal[measured.metric_mask].mean())
+    slow = replace(recipe, envelope=replace(recipe.envelope, least_point_s=float(found.dwell.time_s.max())))
+    floored = dwell_step.solve(slow, small_program(), measured).dwell.certificate
+    assert floored.floor_nm is not None
+    assert any(f"the shortest times of the machine remove {floored.floor_nm:.3g} nm" in note for note in floored.notes)
+
+
 def test_the_certificate_says_what_is_out_of_reach() -> None:
     def short(request: RemovalRequest) -> RemovalAnswer:
         return replace(
@@ -219,3 +231,21 @@ def test_a_path_that_takes_too_long_is_refused_before_anything_is_computed() -> 
         PlanRefused, match=r"small.rnc at the largest feed takes \d+ s, more than limits.max_pass_s = 3 s"
     ):
         dwell_step.solve(limited(3.0, model=RemovalModel("never", never)), small_program(), measured)
+
+
+def test_the_change_of_feed_counts_as_much_as_the_acceleration_loses() -> None:
+    """On a slow machine the feeds change less, and the delivered dwell is nearer to the planned one."""
+    slow = replace(small_recipe().envelope, accel_mm_s2=20.0)
+    found = {}
+    for weight in (0.0, 1.0, 10.0):
+        recipe = small_recipe(feed_change=weight, envelope=slow)
+        measured = steps.condition(recipe, small_map())
+        program = small_program()
+        solved = dwell_step.solve(recipe, program, measured)
+        slowness = solved.dwell.time_s / program.length_mm
+        late = solved.answer.removal_nm(solved.expected_s - solved.dwell.time_s)[measured.metric_mask]
+        found[weight] = float(np.abs(np.diff(slowness)).mean()), float(np.sqrt(np.mean(late**2)))
+        noted = any("the change of feed between blocks counts" in note for note in solved.dwell.certificate.notes)
+        assert noted == (weight > 0)
+    assert found[10.0][0] < found[1.0][0] < found[0.0][0]
+    assert found[10.0][1] < found[0.0][1]

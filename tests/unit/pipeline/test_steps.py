@@ -19,7 +19,7 @@ from polishd.model.program import Program
 from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.acceptance import forecast_of
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.records import EstimatesInUse, ExecutedPass, MeasureResult, SolveResult
+from polishd.pipeline.records import EstimatesInUse, ExecutedPass, MeasureResult, SolveResult, made_ripple
 from polishd.plugins import dwell_solvers
 from polishd.plugins.plan_checks import polishd_check_plan
 from polishd.plugins.rnc_robot.dialect import dialect
@@ -29,6 +29,7 @@ from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.frames import dips_deg, surface_normals
 from polishd.process.metrology.statistics import fit_terms, remove_terms
+from polishd.process.removal.ripple import Ripple
 from polishd.process.robot import motion
 from tests.rs274 import RS274
 from tests.unit.daemon.small import (
@@ -455,6 +456,34 @@ def test_learn_the_overhead(program: Program, measured: MeasureResult, solved: S
     done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s + 0.007)
     believed = steps.learn(small_recipe(), program, done, EstimatesInUse()).believed
     assert believed.block_overhead_s == pytest.approx(0.007, rel=0.05)
+
+
+def test_a_map_is_judged_with_the_ripple_of_the_passes_that_were_made(measured: MeasureResult) -> None:
+    line = {
+        "direction": "across",
+        "period_mm": 0.9,
+        "amplitude_nm": 1.4,
+        "rms_nm": 1.0,
+        "rms_high_nm": 1.3,
+        "on_grid": 0.0,
+    }
+    other = {**line, "period_mm": 0.45, "rms_nm": 0.5}
+    apart = {**line, "cause": "line_error", "rms_nm": 0.0, "rms_high_nm": 0.3}
+    passes = [
+        {"forecast": {"ripple": {"lines": [line, apart]}}},
+        {},
+        {"forecast": {"ripple": {"lines": [line, other, apart]}}},
+    ]
+    ripple = made_ripple(passes)
+    assert [(one.period_mm, one.rms_nm) for one in ripple.lines] == [(0.9, 2.0), (0.9, 0.0), (0.45, 0.5)]
+    assert ripple.lines[1].rms_high_nm == pytest.approx(0.3 * 2**0.5), "lines are out of place anew in each pass"
+    recipe = small_recipe()
+    (plain,), (rippled,) = (steps.condition(recipe, small_map(), ripple=own).judged for own in (Ripple(), ripple))
+    assert plain.with_ripple is None
+    assert rippled.value == plain.value
+    pitch = measured.map_grid.pitch_mm if measured.map_grid else np.nan
+    hidden = sum(one.rms_nm**2 * (1 - one.kept(pitch)) for one in ripple.lines)
+    assert rippled.with_ripple == pytest.approx(np.hypot(plain.value, hidden**0.5))
 
 
 def test_what_a_pass_leaves_finer_than_the_grid_is_expected_of_the_next(

@@ -343,6 +343,12 @@ def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
     assert "<dt>accepted</dt><dd>as measured</dd>" in words_of(run_dir)
 
 
+def test_a_line_that_is_judged_with_hidden_ripple_says_so(run_dir: Path) -> None:
+    line = LineResult("RMS", 1.9, 2.0, "nm", with_ripple=2.1, with_ripple_high=2.3)
+    write_summary(run_dir, [{"rms_nm": 1.9, "judged": [line.facts()]}], accept="figure")
+    assert "no (2.1 nm with ripple that the map does not show, up to 2.3)" in words_of(run_dir)
+
+
 @pytest.mark.full
 def test_an_interrupted_pass_is_no_pass_like_the_others(undrawn: None, tmp_path: Path) -> None:
     folder = tmp_path / "run"

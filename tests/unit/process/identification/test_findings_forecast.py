@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from polishd.process.identification.findings import (
     pool_unexplained,
     unexplained_share,
 )
+from polishd.process.removal.ripple import Ripple, RippleLine
 
 N = 72
 X, Y = np.meshgrid(np.linspace(-1, 1, N), np.linspace(-1, 1, N))
@@ -138,6 +141,16 @@ def test_a_pass_that_will_hardly_gain_is_not_worth_it() -> None:
     )
     assert gain_too_small(Forecast(0.60, 0.64, 0.70, 0.9, 0.06), limits) is None
     assert gain_too_small(hopeless, FindingLimits(min_improvement=0.0)) is None, "who turns it off has it off"
+
+
+def test_a_pass_that_gains_less_than_its_ripple_states_both_and_what_the_floor_removes() -> None:
+    ripple = Ripple((RippleLine("across", 1.2, 1.4, 1.0, 1.2, 0.3),))
+    forecast_ = Forecast(0.60, 0.64, 0.70, 0.9, 0.5, ripple, 0.4, 20.0)
+    found = gain_too_small(forecast_, FindingLimits())
+    assert found is not None
+    assert "would gain 0.40 nm RMS and add a ripple of 1.00 nm RMS (1.20 mm across" in found.what
+    assert "the machine's shortest times remove 20 nm in the mean" in found.what
+    assert gain_too_small(replace(forecast_, gain_nm=1.1), FindingLimits()) is None
 
 
 def test_noise_of_a_map_s_own_samples_adds_in_quadrature_and_costs_no_chance_to_gain() -> None:
