@@ -235,20 +235,19 @@ def ripple(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [one for one in lines if isinstance(one, Mapping)] if isinstance(lines, list) else []
 
 
-def ripple_section(rows: Rows) -> Iterator[DocumentSection]:
-    """Yield the harmonics that each pass adds, and their sum; nothing without a forecast."""
+def ripple_section(rows: Rows, *, last: bool = False) -> Iterator[DocumentSection]:
+    """Yield the harmonics that each pass adds, or the last one only, and their sum; nothing without a forecast."""
     keys = ("period_mm", "amplitude_nm", "rms_nm", "rms_high_nm")
     cells: list[tuple[str, ...]] = []
-    for index, row in enumerate(rows):
-        lines = ripple(row)
+    known = [(index, ripple(row)) for index, row in enumerate(rows) if ripple(row)]
+    for index, lines in known[-1:] if last else known:
         name = pass_after(rows, index)
         cells += [
             (name, plain(one.get("direction")), *(figure(one.get(key), ".2f") or DASH for key in keys)) for one in lines
         ]
-        if lines:
-            values = [[number(one, key) for one in lines] for key in keys[2:]]
-            whole = [f"{math.hypot(*(value for value in some if value > 0)):.2f}" for some in values]
-            cells.append((name, "all", "", "", *whole))
+        values = [[number(one, key) for one in lines] for key in keys[2:]]
+        whole = [f"{math.hypot(*(value for value in some if value > 0)):.2f}" for some in values]
+        cells.append((name, "all", "", "", *whole))
     if cells:
         head = ("pass", "direction", "period, mm", "amplitude, nm", "RMS, nm", "RMS, nm, spot's radius off")
         note = "Forecast of what the lines of the path leave. The last column is for a spot whose radius is off by 3 %."

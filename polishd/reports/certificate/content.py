@@ -245,7 +245,7 @@ def _of_lines(judged: tuple[LineResult, ...]) -> Iterator[str]:
             yield f"{one.what}: {sigma}. The limit lies within the uncertainty: either verdict is possible."
     plain = [one.what for one in judged if one.bound is None and one.uncertainty is None]
     if plain:
-        yield f"LineResult as measured, with unknown uncertainty: {', '.join(plain)}."
+        yield f"Judged as measured, with unknown uncertainty: {', '.join(plain)}."
     if any(one.bound is None and one.uncertainty is not None for one in judged):
         yield "± includes the repeatability of the instrument only, and is an upper limit."
 

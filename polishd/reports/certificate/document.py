@@ -175,8 +175,7 @@ def _figures(drawn: CertificateDraft) -> Chapter:
         _changes(content),
         DocumentSection("Uncertainty", notes=content.uncertainty.statements),
         _section("Power spectra", "spectra", pictures.SPECTRA_CAPTION, _spectra(drawn)),
-        *wording.ripple_section(drawn.run.folder.rows()),
-        *_reach(content),
+        *wording.ripple_section(drawn.run.folder.rows(), last=True),
     ]
     return Chapter("Figures", [], _filled(parts))
 
@@ -197,6 +196,8 @@ def _changes(content: Content) -> DocumentSection:
         (one.figure, f"{one.before_nm:.3f}", f"{one.after_nm:.3f}", _percent(one.change)) for one in content.changes
     ]
     notes = [content.aperture.words]
+    if content.after is not None and content.after.iso10110 is not None:
+        notes.append(f"After, in the notation of ISO 10110-5:2015, nm of surface: {content.after.iso10110.indication}")
     bands = [] if content.after is None else content.after.bands or []
     if any(band.soft and band.rms_nm is not None for band in bands):
         notes.append(
@@ -204,26 +205,20 @@ def _changes(content: Content) -> DocumentSection:
             "depends on how the map is continued beyond its edge. The squares of all bands add up to the square of "
             "the RMS."
         )
+    if content.beyond_reach is not None:
+        reach = content.beyond_reach
+        change = reach.after_nm / reach.before_nm - 1 if reach.before_nm > 0 else None
+        name = f"beyond the reach of the tool, below {reach.cutoff_period_mm:.2f} mm"
+        rows.append((name, f"{reach.before_nm:.3f}", f"{reach.after_nm:.3f}", _percent(change)))
+        notes.append(
+            "Beyond the reach of the tool: RMS of the periods that its spot cannot remove. An increase was left by the "
+            "passes."
+        )
     return DocumentSection("Before and after, nm", [Table(("figure", "before", "after", "change"), rows)], notes)
 
 
 def _percent(change: float | None) -> str:
     return DASH if change is None else f"{100 * change:+.1f} %"
-
-
-def _reach(content: Content) -> Iterator[DocumentSection]:
-    reach = content.beyond_reach
-    if reach is None:
-        return
-    table = Table(
-        ("RMS of these periods, nm", "before", "after"),
-        [(f"below {reach.cutoff_period_mm:.2f} mm", f"{reach.before_nm:.3f}", f"{reach.after_nm:.3f}")],
-    )
-    note = (
-        "The spot of the tool cannot remove shorter periods. An increase was left by the passes. The samples and the "
-        "aperture are those of all figures above. The figures of the solver, on its coarser grid, are not repeated."
-    )
-    yield DocumentSection("Beyond the reach of the tool", [table], [note])
 
 
 def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
