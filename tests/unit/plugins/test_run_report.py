@@ -268,7 +268,7 @@ def test_every_picture_is_legible_on_paper(tmp_path: Path, monkeypatch: pytest.M
     figures: list[Figure] = []
     monkeypatch.setattr("polishd.reports.run_report.png", lambda fig: bytes(figures.append(fig) or b""))
     write_report(write_run(tmp_path / "run", passes))
-    assert len(figures) == (2, 6, 9)[passes]
+    assert len(figures) == (2, 7, 10)[passes]
     for fig in figures:
         require_legible(fig)
 
