@@ -53,7 +53,7 @@ class NamedMap(NamedTuple):
 
     @property
     def limit_nm(self) -> float:
-        """End of its own color scale."""
+        """End of the map's color scale."""
         return height_limit(np.where(self.clear, self.height_nm, np.nan))
 
 

@@ -81,7 +81,7 @@ CERTIFICATE: Mapping[str, str] = {
 
 PAGE = "report.html"
 PICTURES = "pictures"
-GRID_NOTE = "The maps are averaged onto the process grid; the RMS is that of a map's own samples."
+GRID_NOTE = "The maps are averaged onto the process grid; the RMS is that of the samples in a map's file."
 
 
 @dataclass(frozen=True, slots=True)
