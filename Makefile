@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper screenshots bench performance compare claims naming scenarios robustness robustness-dask lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -102,6 +102,7 @@ format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 
 reference: $(VENV)/.installed ## write docs/reference (config keys, ports, command line), JSON Schemas and the man page docs/polishd.1 from the source
 	@$(BIN)/python -m docs.reference.write
+	@$(BIN)/python -m docs.reference.code_tables
 	@$(BIN)/python -m docs.reference.schemas
 	@$(BIN)/python -m docs.reference.man
 	@$(BIN)/python -m docs.reference.cli
@@ -131,12 +132,18 @@ paper: $(VENV)/.installed ## draw the pictures of docs/explanation/paper.md agai
 	@cp $(PAPER)/table_iv/setting.png docs/images/paper/fig_13.png
 	@cp $(PAPER)/fig_12/passes.png docs/images/paper/fig_12.png
 
+screenshots: $(VENV)/.installed ## make the pictures of the page in docs/images/page; needs chromium (ARGS="name ...")
+	@$(BIN)/python -m tests.screenshots $(ARGS)
+
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
 performance: $(VENV)/.installed ## write the results of make bench into docs/reference/results.md
 	@$(BIN)/python -m docs.reference.performance build/bench.json
 	@$(BIN)/python -m docs.reference.cost
+
+claims: $(VENV)/.installed ## list the figures of README and docs, fresh or stale; fails where a page differs (ARGS="--record CLAIM KEY=FIGURE")
+	@$(BIN)/python -m tests.campaigns.claims $(ARGS)
 
 COMPARED = --limit 24
 compare: $(VENV)/.installed ## compare the compliance corrections on parts of 100 and 300 mm (COMPARED="--limit N")

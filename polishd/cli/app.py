@@ -252,7 +252,7 @@ def probe(
     record: Record = None,
     as_json: Json = False,
 ) -> None:
-    """Connect to each device, identify it, leave it safe."""
+    """Open each device, identify it, and leave it safe."""
     from polishd.cli.cell import probe_verb
 
     probe_verb(cell, only or (), record, as_json=as_json)
@@ -366,7 +366,7 @@ def web(
     ] = "watch",
     remove_user: Annotated[str | None, Option(metavar="NAME", help="Remove a user; the token is void")] = None,
 ) -> None:
-    """Serve the web page and the HTTP API of a cell, in a process besides its daemon, until Ctrl-C."""
+    """Serve the web page and the HTTP API of a cell until Ctrl-C, in its own process."""
     from polishd.cli.cell import web_verb
     from polishd.web.http.users import Role
 
@@ -404,7 +404,10 @@ def sim(
     context: typer.Context,
     config: Annotated[Path, Argument(metavar="SIM.toml", help="The simulator's configuration", show_default=False)],
 ) -> None:
-    """Run a simulated cell in separate processes until Ctrl-C. Other options go to the simulator."""
+    """Run a simulated cell in separate processes until Ctrl-C.
+
+    Further options: --speed FACTOR, --seed N, --surface MAP, --state DIR, --only DEVICE, --artefact FILE.
+    """
     from polishd.commissioning.rehearsal.simulated_cell import run_simulator
 
     raise typer.Exit(run_simulator(config, context.args))
@@ -418,7 +421,10 @@ def rehearse(
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder for the simulated copy of the cell")] = None,
     write_only: Annotated[bool, Option("--write-only", help="Write the files; start nothing")] = False,
 ) -> None:
-    """Run a simulated copy of a cell, to rehearse its job. Other options go to the simulator."""
+    """Run a simulated copy of a cell, to rehearse its job.
+
+    Further options, for the simulator: --speed FACTOR, --seed N, --surface MAP.
+    """
     from polishd.commissioning.rehearsal.rehearsal import rehearsal_verb
 
     raise typer.Exit(rehearsal_verb(cell, out, context.args, write_only=write_only))

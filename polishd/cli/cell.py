@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Group
@@ -22,8 +22,9 @@ from polishd.plugin_loader import DECLARATIONS, load_cell, load_own, plugins_of
 from polishd.rendering.terminal import emit, key_table, outcome_tables, record_table, say, stderr, stdout
 from polishd.util.extras import require_extra
 from polishd.util.threads import run_loop
-from polishd.web.http.users import Role, UserFile, users_path
-from polishd.web.routes import serve
+
+if TYPE_CHECKING:
+    from polishd.web.http.users import Role
 
 
 def plan_verb(
@@ -145,6 +146,9 @@ def _brings(plugin: Mapping[str, Any]) -> str:
 
 def web_verb(cell: Path, add_user: str | None, role: Role, remove_user: str | None) -> None:
     """Add or remove a user, or serve."""
+    from polishd.web.http.users import UserFile, users_path
+    from polishd.web.routes import serve
+
     config = load_config(cell)
     users = UserFile(users_path(config))
     if add_user is not None:

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import typer.core
+from typer._click.exceptions import MissingParameter, UsageError
 
 from polishd.cli.completion import complete
 
@@ -32,8 +33,20 @@ RENAMED_COMMANDS = {
     "report schema": "certificate schema",
     "report verify": "certificate verify",
     "version": "--version",
+    "completion": "--install-completion",
 }
 """Commands of before release 1.0. A renamed group with an unknown command is found by the group alone."""
+PLAIN_ERRORS = (
+    (r"^Value error, ('.*?') is not one of (.*)", r"\1 is not allowed. Use one of \2"),
+    (r"^Input should be a valid number.*", "must be a number"),
+    (r"^Input should be a valid integer.*", "must be a whole number"),
+    (r"^Input should be greater than or equal to ", "must be at least "),
+    (r"^Input should be less than or equal to ", "must be at most "),
+    (r"^Input should be (greater|less) than ", r"must be \1 than "),
+)
+"""Messages of pydantic for the value of an option, and the same in the words of ``config.toml_loader``."""
+MOST_NAMED = 12
+"""In groups with at most so many commands, the message for an unknown one names them all."""
 
 
 class CommandGroup(typer.core.TyperGroup):
@@ -49,16 +62,39 @@ class CommandGroup(typer.core.TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """See TyperGroup. UsageError with the new name for a command that was renamed."""
         if args and args[0] not in self.commands:
-            group = " ".join(ctx.command_path.split()[1:])
+            group = _path(ctx)
             path = f"{group} {args[0]}".strip()
             for name in (" ".join([path, *args[1:2]]), path, group):
                 if (new := RENAMED_COMMANDS.get(name)) is not None:
                     ctx.fail(f"'polishd {name}' was renamed. Use 'polishd {new}'.")
-        return super().resolve_command(ctx, args)
+        try:
+            return super().resolve_command(ctx, args)
+        except UsageError as error:
+            if "Did you mean" not in error.message and len(self.commands) <= MOST_NAMED:
+                error.message += f" Use one of {', '.join(self.list_commands(ctx))}."
+            raise
+
+    def invoke(self, ctx: Any) -> Any:
+        """See TyperGroup. Wrong values of options are reported in plain words."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            for pattern, plain in PLAIN_ERRORS:
+                error.message = re.sub(pattern, plain, error.message, flags=re.DOTALL)
+            switch = error.param
+            if isinstance(error, MissingParameter) and getattr(switch, "is_flag", False) and switch.secondary_opts:
+                names = " or ".join([*switch.opts, *switch.secondary_opts])
+                raise UsageError(f"Missing option. Add {names}.", error.ctx) from None
+            raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """See TyperGroup."""
         _format_help(self, ctx, formatter)
+
+
+def _path(ctx: Any) -> str:
+    """Return the names of the groups below ``polishd``, which may itself be ``python -m polishd``."""
+    return "" if ctx.parent is None else f"{_path(ctx.parent)} {ctx.info_name}".strip()
 
 
 def _prepare(command: Any) -> None:

@@ -43,7 +43,7 @@ def show(
 
 @app.command()
 def check(profile: Profile, raw: Raw = None, as_json: Json = False) -> None:
-    """Check a profile, and show its requests as sent, and decoded values."""
+    """Check a profile; show the bytes of its requests, and decoded values."""
     from polishd.commissioning.device_profiles import check_verb
 
     check_verb(profile, raw or [], as_json=as_json)

@@ -39,7 +39,7 @@ def shop_serve(
 
 @app.command("connect")
 def link(cell: Cell) -> None:
-    """Report a cell's events to the shop, and request parts, in a process besides the daemon, until Ctrl-C."""
+    """Report a cell's events to the shop, and request parts, until Ctrl-C, in its own process."""
     from polishd.cli.shop_commands import link_verb
 
     link_verb(cell)

@@ -26,6 +26,7 @@ from polishd.config.cell_sections import (
     NotifySection,
     PluginsSection,
     ProgramSection,
+    RippleSection,
     RobotSection,
     SignalSection,
     TouchOffSection,
@@ -77,6 +78,7 @@ class CellConfig(ServedDocument):
     program: ProgramSection
     machine: MachineSection
     dwell: DwellSection = DwellSection()
+    ripple: RippleSection = RippleSection()
     touch_off: TouchOffSection | None = None
     part_handling: BetweenSection = BetweenSection()
     tools: Mapping[Name, ToolSection] = {}

@@ -31,6 +31,7 @@ from polishd.model.dwell import Choice
 from polishd.model.estimates import FindingLimits
 from polishd.model.outline import Outline
 from polishd.model.tolerance import Accept
+from polishd.process.removal.ripple import LAG_MM, LINE_ERROR_MM, RADIUS_ERROR, PathErrors
 
 _FINDING = FindingLimits()
 
@@ -294,6 +295,27 @@ class DwellSection(ConfigSection):
         if self.cross_check == self.solver:
             raise ValueError('cross_check: must be another solver than dwell.solver, or "" for none')
         return self
+
+
+class RippleSection(ConfigSection):
+    """Errors that the forecast of ripple counts with (docs/explanation/ripple.md).
+
+    95 % of spots, lines and passes are within them.
+    """
+
+    radius_error: Annotated[float, Field(ge=0, lt=0.5)] = RADIUS_ERROR
+    """Of the spot's radius, relative: of a measured TIF, of wear, of the pressure. [1]"""
+    line_error_mm: Annotated[float, Field(ge=0, le=10)] = LINE_ERROR_MM
+    """Of each line's place across it, independent of the other lines': the robot's path accuracy without what all lines
+    have in common."""
+    lag_mm: Annotated[float, Field(ge=0, le=10)] = LAG_MM
+    """Distance along the path that the tool trails the programmed point by, because of friction and backlash. A delay
+    in time alone is none."""
+
+    @property
+    def errors(self) -> PathErrors:
+        """The errors as the forecast takes them."""
+        return PathErrors(self.radius_error, self.line_error_mm, self.lag_mm)
 
 
 class JobSection(ConfigSection):

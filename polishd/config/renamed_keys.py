@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Mapping
 from fnmatch import fnmatchcase
+from typing import Any
+
+import tomlkit
 
 # Patterns of dotted keys, without the index in a list of tables; the first that fits counts.
 RENAMED_KEYS = {
@@ -78,3 +83,40 @@ TYPE_ADVICE = {
 def renamed_key(dotted: str) -> str | None:
     """Return the new name of a renamed dotted key, or None. The new name includes the table if that changes, too."""
     return next((new for old, new in RENAMED_KEYS.items() if fnmatchcase(dotted, old)), None)
+
+
+def present_key(dotted: str) -> str:
+    """Return a dotted key with the present names of its table and of itself."""
+    root, dot, rest = dotted.partition(".")
+    dotted = f"{renamed_key(root) or root}{dot}{rest}"
+    new = (renamed_key(dotted) or dotted).partition(" ")[0]
+    return new if "." in new or "." not in dotted else f"{dotted.rpartition('.')[0]}.{new}"
+
+
+def present_value(old: str, value: Any) -> Any:
+    """Return the present value of a dotted key of before release 1.0: a device type, or the edge of a part."""
+    if old.endswith(".type") and isinstance(value, str):
+        return RENAMED_TYPES.get(value, value)
+    return value == "free" if old == "part.rim" else value
+
+
+def present_text(text: str) -> str:
+    """Return the text of a stored job file with the present names of its keys; as it is where no key was renamed.
+
+    A text with renamed keys loses its comments. A text that is no TOML is returned as it is: its use reports the error.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return text
+    present = _present_table(values, "")
+    return text if present == values else f"# Converted to the key names of polishd 1.0\n{tomlkit.dumps(present)}"
+
+
+def _present_table(table: Mapping[str, Any], above: str) -> dict[str, Any]:
+    found = {}
+    for name, value in table.items():
+        key = present_key(f"{above}{name}")
+        inner = _present_table(value, f"{key}.") if isinstance(value, dict) else value
+        found[key.removeprefix(above)] = present_value(f"{above}{name}", inner)
+    return found

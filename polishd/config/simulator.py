@@ -295,6 +295,12 @@ class Plant(OpticKeys):
     """Width of the flush waster around the part: room for landing pads and overrun."""
     pitch_mm: Annotated[float, Field(gt=0.05, le=1)] = 0.5
     """Of the true surface, and of the maps."""
+    patch_mm: Annotated[tuple[float, float, Positive], BeforeValidator(as_tuple)] | None = None
+    """Center (x, y) and side of a square of the part that is kept on samples of `patch_pitch_mm`, too, where the lines
+    of the path show. The plant writes its map, as an instrument with that magnification takes it, to `patch.dat` of the
+    state folder with each map. Left out: none is kept."""
+    patch_pitch_mm: Annotated[float, Field(ge=0.005, le=1)] = 0.08
+    """Of the samples of `patch_mm`: a twentieth of the spot's radius shows three harmonics of the lines."""
     rms_nm: NotNegative = 18.0
     """Of the surface at the start, in the clear aperture; 0: it starts flat."""
     pv_nm: NotNegative = 150.0
@@ -323,6 +329,11 @@ class Plant(OpticKeys):
     def _can_be_simulated(self) -> Self:
         across_mm = 2 * (self.outline.radius_mm + self.ring_mm)
         require_cells(across_mm, across_mm, self.pitch_mm, "pitch_mm")
+        if self.patch_mm is not None:
+            x, y, side = self.patch_mm
+            require_cells(side, side, self.patch_pitch_mm, "patch_pitch_mm")
+            if math.hypot(x, y) + side > self.outline.radius_mm + self.ring_mm:
+                raise ValueError(f"patch_mm: {side:g} mm about {x:g}, {y:g} mm is not all on the part and its ring")
         return self
 
     @model_validator(mode="after")
@@ -728,7 +739,12 @@ def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
     if named is None:
         return raw, source, None
     if not isinstance(named, str):
-        raise ConfigError(source.error(("cell",), f"must be the name of a file, not {named!r}. Correct it."))
+        problem = (
+            f"this is a cell's file. Use polishd rehearse {path}"
+            if isinstance(named, dict)
+            else f"must be the name of a file, not {named!r}. Correct it."
+        )
+        raise ConfigError(source.error(("cell",), problem))
     cell = path.parent / Path(named).expanduser()
     try:
         toml_text(cell)

@@ -113,6 +113,8 @@ def key_lines(text: str) -> Mapping[Location, int]:
             table = _header(value, found)
             found.setdefault(table[:-1] if isinstance(table[-1], int) else table, start + 1)
             found[table] = start + 1
+            for size in range(1, len(table)):  # tables that only a header of an inner table names
+                found.setdefault(table[:size], start + 1)
         else:
             _note(value, table, start + 1, found)
         start = end

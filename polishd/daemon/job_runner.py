@@ -2,7 +2,7 @@
 
 The table in ``state_machine`` defines its states. The single job of the cell's file is a queue of one.
 Hold, stop, SIGTERM and every error leave contact in the same order (``safety.make_safe``). After an interruption
-nothing moves until ``resume``. An error that an operator can mend holds the cell, any other one ends the daemon
+nothing moves until ``resume``. An error that the operator can correct holds the cell, any other one ends the daemon
 (docs/explanation/cycle.md). Commands are taken in the order of arrival; a command ends the work that it interrupts.
 """
 

@@ -31,7 +31,7 @@ class StateEvent(StrEnum):
     UNSAFE = "a device did not confirm that it is safe"
     INTERRUPTED = "an earlier run or a command left a pass or the job open"
     UNFIT = "the computer is near a limit, or a signal is wrong"
-    MENDABLE = "an error that an operator can mend"
+    MENDABLE = "an error that the operator can correct"
     ERROR = "any other error"
     DONE = "the job has its outcome"
     NEXT = "a job is next"

@@ -154,7 +154,7 @@ def _shape(text: str, kind: str, rest: str) -> Inside:
                 return _about((x, y), hexagon(flats))
     except ComputeError as error:
         raise typer.BadParameter(f"--mask {text!r}: {error}") from error
-    raise typer.BadParameter(f"--mask {text!r} is none of {FORMS}")
+    raise typer.BadParameter(f"--mask {text!r} is not a shape. Use {FORMS}")
 
 
 def _about(centre: tuple[float, float], outline: Outline) -> Inside:
@@ -324,7 +324,7 @@ def _units(text: str | None) -> tuple[str | None, str] | None:
     words = [word.strip() for word in text.split(",")]
     if len(words) > 2 or any(nm_per(word) is None for word in words):
         raise typer.BadParameter(
-            f"--units {text!r}: two units of length, of places and heights, as mm,nm; or one, of heights"
+            f"--units {text!r}: use two units of length, of coordinates and heights, such as mm,nm, or one"
         )
     return (words[0] if len(words) == 2 else None), words[-1]
 
@@ -390,7 +390,7 @@ def edges_mm(text: str) -> tuple[float, ...]:
         edges = ()
     falling = all(a > b for a, b in pairwise(edges))
     if not edges or not falling or not all(0 < edge < math.inf for edge in edges):
-        raise typer.BadParameter(f"--bands {text!r}: periods in mm that fall, as 33,0.12")
+        raise typer.BadParameter(f"--bands {text!r}: use periods in mm in descending order, such as 33,0.12")
     return edges
 
 

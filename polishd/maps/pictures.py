@@ -13,18 +13,9 @@ from polishd.maps.map_files import distinguish_names, printable
 from polishd.model.surface import BoolArray, FloatArray, SurfaceMap
 from polishd.process.metrology.spectra import RadialPsd, radial_psd
 from polishd.process.metrology.statistics import remove_terms
-from polishd.rendering.map_plots import (
-    LEAST_NM,
-    Spectrum,
-    color_bar,
-    empty_panel,
-    height_limit,
-    height_map,
-    histogram,
-    spectrum,
-    value_map,
-)
+from polishd.rendering.map_plots import Spectrum, color_bar, empty_panel, height_map, histogram, spectrum, value_map
 from polishd.rendering.plots import BLUE, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.scales import LEAST_NM, height_limit
 
 PANEL_IN = 2.7
 ACROSS = 4

@@ -50,6 +50,8 @@ class OptimalityCertificate:
     """RMS of the periods above the problem's ``band_period_mm`` in the clear aperture; None: not requested."""
     cutoff_period_mm: float | None = None
     """Shorter periods no dwell with this spot removes; None: not known, or finer than the process grid shows."""
+    floor_nm: float | None = None
+    """Mean removal in the clear aperture of the shortest times that the machine can make; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,14 +49,14 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShopRateReceived(Event):
-    """The shop sends another cell's estimates of a recipe; a job begins with them where this cell has none."""
+    """The shop sent another cell's estimates of a recipe; a job begins with them if this cell has none."""
 
     name: ClassVar[str] = "shop_rate_received"
-    recipe: Annotated[str, "of process and tool, a hash"]
-    cell: Annotated[str, "which has learned it"]
-    job: Annotated[str, "in which job"]
-    of_cycle: Annotated[int, "in its pass of that cycle"]
-    at_s: Annotated[float, "when, Unix time"]
+    recipe: Annotated[str, "hash of process and tool"]
+    cell: Annotated[str, "name of the other cell"]
+    job: Annotated[str, "its job"]
+    of_cycle: Annotated[int, "cycle of the pass"]
+    at_s: Annotated[float, "Unix time of the estimate"]
     rate: Annotated[float, "removal rate, relative to the model's own"]
     sigma: Annotated[float, "its standard error on that cell's machine"]
 
@@ -66,7 +66,7 @@ class ShopRateReceived(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobStarted(Event):
-    """A job of the queue begins, or goes on after a restart; its part is put in next."""
+    """A job of the queue begins, or continues after a restart; its part is loaded next."""
 
     name: ClassVar[str] = "job_started"
     job: Annotated[str, "its `job.id`"]
@@ -76,13 +76,13 @@ class JobStarted(Event):
 
 STANDING = (
     "`tool_off`: `yes`, `not confirmed` or `not asked`; `robot_at_rest`: the same; `unsafe`: each device that did not "
-    "confirm being safe: `name: why`; `next`: what a person may do"
+    "confirm that it is safe: `name: why`; `next`: what the operator can do"
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartRequested(Event):
-    """A person is to put a part in; nothing moves before."""
+    """The operator must load a part; nothing moves before."""
 
     name: ClassVar[str] = "part_requested"
     job: Annotated[str, "the `job.id` of its job"]
@@ -90,14 +90,14 @@ class PartRequested(Event):
     standing: Annotated[CellSafety, STANDING]
 
     def concern(self) -> OperatorNotice:
-        """Warning; alarm where a device did not confirm, too."""
+        """Warning; alarm if a device did not confirm that it is safe."""
         what = f"{self.job}: a person is to put part {self.part_id!r} in"
         return self.standing.concern(Severity.WARNING, what, "it waits for that")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartChanged(Event):
-    """The part of a job is on the seat, as the loader or a person says; its map still has to prove it."""
+    """The loader or the operator reports the part of a job on the seat; its map still has to prove it."""
 
     name: ClassVar[str] = "part_changed"
     part_id: Annotated[str, "the part"]
@@ -106,18 +106,18 @@ class PartChanged(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueJobEnded(Event):
-    """A job of the queue is over."""
+    """A job of the queue ended."""
 
     name: ClassVar[str] = "queue_job_ended"
     job: Annotated[str, "its `job.id`"]
     part_id: Annotated[str, "its part"]
     verdict: Annotated[str, "`accepted`, `rejected` or `set aside`"]
     reason: Annotated[str, "why"]
-    stops: Annotated[str, "why the queue stops over it; empty where it goes on"]
-    run_dir: Annotated[str, "the run folder; empty where the job never began"]
+    stops: Annotated[str, "why the queue stops because of it; empty if it continues"]
+    run_dir: Annotated[str, "the run folder; empty if the job did not begin"]
 
     def concern(self) -> OperatorNotice:
-        """Info where accepted, else warning."""
+        """Info if accepted, else warning."""
         severity = Severity.INFO if self.verdict == "accepted" else Severity.WARNING
         what = f"{self.job} (part {self.part_id}) was {self.verdict}: {self.reason}"
         does = f"the queue stops: {self.stops}" if self.stops else "the queue goes on"
@@ -126,23 +126,23 @@ class QueueJobEnded(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueStopped(Event):
-    """The daemon of a queue ends; not where an error ended it."""
+    """The daemon of a queue ends without an error."""
 
     name: ClassVar[str] = "queue_stopped"
-    outcome: Annotated[str, "`empty`, `stopped`, or the outcome of the job over which it stopped"]
+    outcome: Annotated[str, "`empty`, `stopped`, or the outcome of the job because of which it stopped"]
     reason: Annotated[str, "why it was stopped; else empty"]
-    jobs: Annotated[str, "how many jobs of this run ended how"]
+    jobs: Annotated[str, "number of jobs of this run by result"]
     standing: Annotated[CellSafety, "as of `state`"]
 
     def concern(self) -> OperatorNotice:
-        """Info; alarm where a device did not confirm."""
+        """Info; alarm if a device did not confirm that it is safe."""
         what = ": ".join(filter(None, [f"queue: {self.outcome}", self.reason]))
         return self.standing.concern(Severity.INFO, f"{what}; jobs: {self.jobs}", "the daemon has ended")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellOpened(Event):
-    """All devices of the cell answered with their identity."""
+    """All devices of the cell are open and identified."""
 
     name: ClassVar[str] = "cell_opened"
     devices: Annotated[Mapping[str, DeviceIdentity], "by name: `vendor`, `model`, `serial`, `firmware`, `boot_id`"]
@@ -150,15 +150,15 @@ class CellOpened(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateChanged(Event):
-    """The daemon's state is another one."""
+    """The state of the daemon changed."""
 
     name: ClassVar[str] = "state_changed"
     state: Annotated[str, "`starting`, `idle`, `changing`, `polishing`, `held` or `finished`"]
-    reason: Annotated[str, "why it is held, or how the job ended"]
+    reason: Annotated[str, "why the cell is held, or how the job ended"]
     standing: Annotated[CellSafety, STANDING]
 
     def concern(self) -> OperatorNotice | None:
-        """Warning where the cell is held; alarm where a device did not confirm, too."""
+        """Warning if the cell is held; alarm if a device did not confirm that it is safe."""
         if self.state != "held":
             return None
         return self.standing.concern(Severity.WARNING, f"held: {self.reason}", "it is held, and waits for a person")
@@ -166,26 +166,26 @@ class StateChanged(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReceived(Event):
-    """A person, or a program for one, gave an order over the socket."""
+    """The daemon received a command over its socket."""
 
     name: ClassVar[str] = "command_received"
-    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`, or what was asked of the queue: `queue_move`, say"]
-    reason: Annotated[str, "what was said with it; may be empty"]
-    by: Annotated[str, "who gave it, by the word of what passed it on; empty: not said"] = ""
+    order: Annotated[str, "`hold`, `resume`, `stop` or `estop`, or a command to the queue, such as `queue_move`"]
+    reason: Annotated[str, "reason that the sender gave; may be empty"]
+    by: Annotated[str, "name of the sender, as reported by the program that passed it on; empty: not stated"] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmAcknowledged(Event):
-    """A person has seen alarms."""
+    """A user acknowledged alarms."""
 
     name: ClassVar[str] = "alarm_acknowledged"
     alarms: Annotated[Sequence[int], "their numbers in the journal's table `event`"]
-    by: Annotated[str, "who"]
+    by: Annotated[str, "name of the user"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactAborted(Event):
-    """An error in contact: the tool is being lifted; `cell_held` or `daemon_failed` follows once all is safe."""
+    """An error in contact: the tool is being lifted; `cell_held` or `daemon_failed` follows when the cell is safe."""
 
     name: ClassVar[str] = "contact_aborted"
     error: Annotated[str, "what is wrong"]
@@ -194,7 +194,7 @@ class ContactAborted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellHeld(Event):
-    """An error that a person can mend holds the cell, or any error ends a job of the queue."""
+    """An error that the operator can correct holds the cell, or any error ends a job of the queue."""
 
     name: ClassVar[str] = "cell_held"
     error: Annotated[str, "what is wrong, and what to do"]
@@ -217,15 +217,15 @@ class DaemonFailed(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapRefused(Event):
-    """The instrument's map was refused, and the cell waits for another; again while no map comes."""
+    """A map was refused, and the cell waits for another one; repeated while no map arrives."""
 
     name: ClassVar[str] = "map_refused"
     file: Annotated[str, "name of the file"]
     kind: Annotated[str, "the error's class: `MapError`, `StaleMap`, `WrongPart`"]
-    reason: Annotated[str, "why it was refused"]
+    reason: Annotated[str, "reason of the refusal"]
     todo: Annotated[str, "what to do"]
-    kept: Annotated[str, "where the file is kept; empty where it could not be moved"]
-    waited_s: Annotated[float, "seconds since it was refused: 0 at first, then every 10 minutes"] = 0.0
+    kept: Annotated[str, "folder in which the file is kept; empty if it could not be moved"]
+    waited_s: Annotated[float, "seconds since the refusal: 0 at first, then every 10 minutes"] = 0.0
 
     def concern(self) -> OperatorNotice:
         """Warning: the operator must measure again."""
@@ -238,67 +238,67 @@ class MapRefused(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapMeasured(Event):
-    """A map was taken, and conditioned."""
+    """A map was read and conditioned."""
 
     name: ClassVar[str] = "map_measured"
     stats: Annotated[
         SurfaceStats,
-        "nm: `rms_nm`, `pv_nm`, `lsf_rms_nm`, `band_rms_nm` (None where the whole surface counts); `samples`",
+        "nm: `rms_nm`, `pv_nm`, `lsf_rms_nm`, `band_rms_nm` (None if all periods count); `samples`",
     ]
     judged: Annotated[
         Sequence[Mapping[str, Any]],
         "each line of the tolerance: `what`, `value`, `limit`, `unit`, `uncertainty` (None: not known), `bound`, "
         "`guard` (None: judged as measured), `removed`, `holds`",
     ] = ()
-    spikes: Annotated[int, "samples that were taken for spikes"]
-    notes: Annotated[Sequence[str], "what a person should know of the map"]
+    spikes: Annotated[int, "number of samples that were rejected as spikes"]
+    notes: Annotated[Sequence[str], "remarks on the map"]
     run_dir: Annotated[str, "the run folder"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapRepeated(Event):
-    """Another map was taken, to see whether the part has settled, or what of a pass's change is none of the pass."""
+    """The measurement was repeated, to find changes that no pass made: a part that settles, or its mount."""
 
     name: ClassVar[str] = "map_repeated"
     maps: Annotated[int, "maps of this measurement so far"]
-    change_nm: Annotated[float, "RMS by which it differs from the one before, or of the largest low order that does"]
-    limit_nm: Annotated[float, "what that may be"]
+    change_nm: Annotated[float, "RMS of the difference from the previous map, or of its largest low order"]
+    limit_nm: Annotated[float, "largest permitted change"]
     notes: Annotated[Sequence[str], "the same in words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemovalCheckFailed(Event):
-    """The removal check stopped the cell: another orientation explains the map better than the last pass."""
+    """The removal check stopped the cell: the map disagrees with the removal of the last pass."""
 
     name: ClassVar[str] = "removal_check_failed"
-    stop: Annotated[str, "why"]
+    stop: Annotated[str, "reason, and what to do"]
     cycle_dir: Annotated[str, "the cycle's folder, for `gate.png`"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatesUpdated(Event):
-    """The last pass was compared with what it removed."""
+    """The estimates were updated by the measured removal of the last pass."""
 
     name: ClassVar[str] = "estimates_updated"
     beliefs: Annotated[
         Mapping[str, Any],
-        "`rate`, relative to the model's own; `block_overhead_s` that a block takes beyond its motion; what else the "
-        "removal model believes",
+        "`rate`, relative to the model's own; `block_overhead_s` that a block takes beyond its motion; further "
+        "estimates of the removal model",
     ]
-    notes: Annotated[Sequence[str], "what a person should know of it"]
+    notes: Annotated[Sequence[str], "remarks on the estimates"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalOutOfRange(Event):
-    """A signal of the cell is not as it must be before contact, or in it."""
+    """A signal of the cell is out of its range, before contact or in it."""
 
     name: ClassVar[str] = "signal_out_of_range"
     signal: Annotated[str, "its name: `flow` of `[signals.flow]`"]
-    what: Annotated[str, "how it is, and how it must be"]
-    action: Annotated[str, "`wait` before contact; in it `notify`, `hold`, `lift` or `estop`"]
+    what: Annotated[str, "its value and its limits"]
+    action: Annotated[str, "`wait` before contact; in contact `notify`, `hold`, `lift` or `estop`"]
 
     def concern(self) -> OperatorNotice | None:
-        """Warning where the reaction is only a notification; other reactions raise their events."""
+        """Warning if the reaction is only a notification; other reactions raise their events."""
         if self.action != "notify":
             return None
         return OperatorNotice(Severity.WARNING, self.what, "it goes on polishing", "look at it before the pass ends")
@@ -306,12 +306,12 @@ class SignalOutOfRange(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindingReported(Event):
-    """The last pass, with those before it, shows a stall, a drift, a worn tool or another spot."""
+    """The last passes show a stall, a drift, a worn tool or another spot."""
 
     name: ClassVar[str] = "finding_reported"
     kind: Annotated[str, "`stall`, `drift`, `wear` or `spot`"]
-    what: Annotated[str, "what was found, and what to do"]
-    stops: Annotated[str, "`job`: this one does not go on; `cell`: no job should, until a person has seen to the tool"]
+    what: Annotated[str, "description, and what to do"]
+    stops: Annotated[str, "`job`: this job ends; `cell`: no job continues until the operator has checked the tool"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -321,13 +321,13 @@ class DwellSolved(Event):
     name: ClassVar[str] = "dwell_solved"
     certificate: Annotated[
         OptimalityCertificate,
-        "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and all else that `certificate.json` has",
+        "`predicted_rms_nm`, `kkt_residual`, `dwell_total_s` and the other fields of `certificate.json`",
     ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToolMounted(Event):
-    """Another tool is on the spindle: by the word of a person who resumed, or of the command that changes tools."""
+    """Another tool is on the spindle: the operator who resumed, or the command that changes tools, confirmed it."""
 
     name: ClassVar[str] = "tool_mounted"
     tool: Annotated[str, "its name in `[tools]`"]
@@ -336,26 +336,31 @@ class ToolMounted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartTouchedOff(Event):
-    """The tool met the part at three places, and their heights say how it sits."""
+    """The touch-off measured height and tilt of the part at three points."""
 
     name: ClassVar[str] = "part_touched_off"
     seat: Annotated[
         PartSeat,
-        "`height_mm`: how much too high the centre is; `tilt_deg` about x and y; `off_mm` of each place; `worst_mm`: "
-        "most that any point of the part is off",
+        "`height_mm` of the center above its nominal height; `tilt_deg` about x and y; `off_mm` of each point; "
+        "`worst_mm`: largest offset of any point of the part",
     ]
-    max_offset_mm: Annotated[float, "what that may be"]
+    max_offset_mm: Annotated[float, "largest permitted offset"]
     notes: Annotated[Sequence[str], "the same in words"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanAwaitingApproval(Event):
-    """A plan waits for a person's `approve`; nothing moves before (`job.approve`)."""
+    """A plan waits for `polishd approve`; nothing moves before (`job.approve`)."""
 
     name: ClassVar[str] = "plan_awaiting_approval"
     program_sha256: Annotated[str, "hash of its program"]
-    predicted_rms_nm: Annotated[float, "RMS that it is to leave, nm"]
-    dwell_s: Annotated[float, "s in contact, as planned"]
+    predicted_rms_nm: Annotated[float, "predicted RMS after the pass, nm"]
+    dwell_s: Annotated[float, "planned time in contact, s"]
+    figures: Annotated[
+        Mapping[str, Any] | None,
+        "figures for the approval: RMS now, predicted, expected, ripple, removal, force, speed, `limits` and `notes`",
+    ] = None
+    plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 
     def concern(self) -> OperatorNotice:
         """Warning."""
@@ -369,27 +374,27 @@ class PlanApproved(Event):
 
     name: ClassVar[str] = "plan_approved"
     program_sha256: Annotated[str, "hash of its program"]
-    by: Annotated[str, "who"]
+    by: Annotated[str, "name of the user"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassStarted(Event):
-    """A pass is journalled; the robot starts next."""
+    """The journal has the begin of a pass; the robot starts next."""
 
     name: ClassVar[str] = "pass_started"
     blocks: Annotated[int, "sequence number of the first block after contact"]
-    dwell_s: Annotated[float, "s in contact, as planned"]
+    dwell_s: Annotated[float, "planned time in contact, s"]
     forecast: Annotated[
         Mapping[str, Any] | None,
-        "RMS that the next map is expected to show, nm: `low_nm`, `median_nm`, `high_nm`; the chance `level` that it "
-        "lies between, and `better`, that it is less than now; null: not known",
+        "expected RMS of the next map, nm: `low_nm`, `median_nm`, `high_nm`; probability `level` of this interval, and "
+        "`better`, of an improvement; null: not known",
     ] = None
-    tool: Annotated[str, "of several the one that polishes; empty: the cell has one"] = ""
+    tool: Annotated[str, "the tool that polishes; empty if the cell has one tool"] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassProgressed(Event):
-    """Some blocks more were executed in contact."""
+    """Further blocks were executed in contact."""
 
     name: ClassVar[str] = "pass_progressed"
     block: Annotated[int, "blocks executed so far"]
@@ -397,26 +402,26 @@ class PassProgressed(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassEnded(Event):
-    """A pass is over: tool lifted, robot at rest."""
+    """A pass ended: tool lifted, robot at rest."""
 
     name: ClassVar[str] = "pass_ended"
-    executed_s: Annotated[float, "s that were executed in contact, of the robot's own clock"]
+    executed_s: Annotated[float, "time in contact by the robot's clock, s"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunFolderCompleted(Event):
-    """The run of a job is over, whichever way; the run folder is whole."""
+    """The run of a job ended; the run folder is complete."""
 
     name: ClassVar[str] = "run_folder_completed"
     run_dir: Annotated[str, "the run folder"]
     outcome: Annotated[
         str, "`in_tolerance`, `cycles_used`, `as_programmed`, `diverged`, `stalled`, `stopped` or `failed`"
     ]
-    reason: Annotated[str, "why it was stopped or failed, or what of a queue was decided; else empty"] = ""
-    standing: Annotated[CellSafety | None, "as of `state`; None where the daemon goes on"] = None
+    reason: Annotated[str, "why it was stopped or failed, or the result in a queue; else empty"] = ""
+    standing: Annotated[CellSafety | None, "as of `state`; None if the daemon continues"] = None
 
     def concern(self) -> OperatorNotice | None:
-        """Info where in tolerance or stopped, else warning; alarm where a device did not confirm. Not where failed."""
+        """Info if in tolerance or stopped, else warning; alarm if a device did not confirm. Not sent if failed."""
         if self.standing is None or self.outcome == "failed":
             return None
         severity = Severity.INFO if self.outcome in {"in_tolerance", "stopped"} else Severity.WARNING
@@ -426,13 +431,13 @@ class RunFolderCompleted(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NotificationFailed(Event):
-    """A notifier failed. Raised once until it has sent all that waits, and when the sender gives up some."""
+    """A notifier failed. Raised once until it has sent all waiting notifications, and when some are given up."""
 
     name: ClassVar[str] = "notification_failed"
     notifier: Annotated[str, "its name: `mail` of `[notify.mail]`"]
-    error: Annotated[str, "why"]
-    waiting: Annotated[int, "how many wait for it to work again"]
-    given_up: Annotated[int, "how many were too old or too many, and are only in the log"] = 0
+    error: Annotated[str, "reason"]
+    waiting: Annotated[int, "number of waiting notifications"]
+    given_up: Annotated[int, "number of notifications that were given up, and are only in the log"] = 0
 
     def concern(self) -> OperatorNotice:
         """Warning, through the other notifiers."""
@@ -447,7 +452,7 @@ class NotificationFailed(Event):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanWritten(Event):
-    """`polishd plan` has written its folder; no daemon is there."""
+    """`polishd plan` wrote its folder, without a daemon."""
 
     name: ClassVar[str] = "plan_written"
     run_dir: Annotated[str, "the plan's folder"]

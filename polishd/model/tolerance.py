@@ -72,13 +72,19 @@ class LineResult:
     """Largest error by the instrument's repeatability; None: unknown."""
     bound: float | None = None
     """95 % upper bound of the true figure, by which the line is judged; None: judged by the measured value."""
+    with_ripple: float | None = None
+    """Measured value with the forecast ripple of the path that the map does not show; None: there is none."""
+    with_ripple_high: float | None = None
+    """The same with the ripple's 95 % value."""
     removed: str = ""
     """Term that the bound leaves out because the instrument's error is undetermined: "power"; empty: none."""
 
     @property
     def counted(self) -> float:
-        """Return the value that is compared with the limit: the bound, where there is one."""
-        return self.value if self.bound is None else self.bound
+        """Return the value that is compared with the limit: the bound where there is one, with the hidden ripple."""
+        if self.bound is not None:
+            return self.bound
+        return self.value if self.with_ripple is None else self.with_ripple
 
     @property
     def holds(self) -> bool:
@@ -97,8 +103,11 @@ class LineResult:
 
     @property
     def unsure(self) -> bool:
-        """Return whether the instrument's uncertainty could reverse the result; a bound contains it."""
-        return self.bound is None and self.uncertainty is not None and abs(self.value - self.limit) <= self.uncertainty
+        """Return whether uncertainty of instrument or ripple could reverse the result; a bound contains both."""
+        if self.bound is not None:
+            return False
+        near = self.uncertainty is not None and abs(self.counted - self.limit) <= self.uncertainty
+        return near or self.counted <= self.limit < (self.with_ripple_high or 0.0)
 
     @property
     def bound_words(self) -> str:
@@ -107,6 +116,15 @@ class LineResult:
             return ""
         removed = f", {self.removed} removed" if self.removed else ""
         return f"at most {self.bound:.3g} {self.unit} truly (95 %), guard band {self.guard:.2g} {self.unit}{removed}"
+
+    @property
+    def ripple_words(self) -> str:
+        """``2.41 with ripple that the map does not show (up to 2.6)``; empty where that is no difference."""
+        if self.with_ripple is None or self.with_ripple_high is None:
+            return ""
+        if f"{self.with_ripple_high:.3g}" == f"{self.value:.3g}":
+            return ""
+        return f"{self.with_ripple:.3g} with ripple that the map does not show (up to {self.with_ripple_high:.3g})"
 
     def facts(self) -> dict[str, Any]:
         """For summary, journal and events: its fields, the ``guard`` band, and whether it ``holds``."""
@@ -121,6 +139,7 @@ class LineResult:
         """One line: ``RMS 2.31 nm of 2 nm allowed``."""
         sigma = "" if self.uncertainty is None else f" +- {self.uncertainty:.2g}"
         bound = f", {self.bound_words}," if self.bound is not None else ""
+        bound += f", {self.ripple_words}," if self.ripple_words else ""
         return f"{self.what} {self.value:.3g}{sigma} {self.unit}{bound} of {self.limit:g} {self.unit} allowed"
 
 

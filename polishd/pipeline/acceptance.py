@@ -11,14 +11,14 @@ from polishd.model.errors import ConfigError
 from polishd.model.instrument import UnmeasuredTerms
 from polishd.model.program import Plan
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.model.tolerance import NORMS, LineResult, ToleranceLine
+from polishd.model.tolerance import LineResult, ToleranceLine
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse, MeasureResult
 from polishd.process.identification.findings import Forecast, forecast
 from polishd.process.metrology import zernike
 from polishd.process.metrology.absolute_poses import LEVEL, terms
 from polishd.process.metrology.statistics import remove_terms
-from polishd.process.metrology.tolerance import in_line_band
+from polishd.process.metrology.tolerance import in_line_band, ripple_psd_alone, ripple_rms_nm, ripple_slope_urad
 from polishd.process.metrology.uncertainty import (
     MapErrors,
     MapNoise,
@@ -27,7 +27,7 @@ from polishd.process.metrology.uncertainty import (
     required_references,
     true_rms_bound,
 )
-from polishd.process.removal.ripple import ActingSpots, Ripple, ripple_of
+from polishd.process.removal.ripple import ActingSpots, Ripple, quieter_pitch_mm, ripple_of
 
 MOST_SAMPLES = 20_000
 """Of a map, for its bound: with so many samples the square of the RMS is known to 1 %."""
@@ -58,7 +58,9 @@ def bounded(
             height = in_line_band(line, figure_nm, clear, pitch_mm)
             bound = true_rms_bound(height, some, pitch_mm, errors, circle_px=circle)
             counts = bound.power_removed if removed and bound.power_removed is not None else bound
-            found.append(replace(one, bound=counts.bound, removed=removed))
+            # the ripple that the map does not show, 95 % value
+            hidden = max((one.with_ripple_high or 0.0) ** 2 - one.value**2, 0.0) ** 0.5
+            found.append(replace(one, bound=float(np.hypot(counts.bound, hidden)), removed=removed))
         else:
             found.append(one)
     return tuple(found)
@@ -151,7 +153,7 @@ def forecast_of(
 
     ``acting``: spots along the path, for the ripple of its lines; None: the removal model knows none.
     """
-    mask, alignment = measured.metric_mask, recipe.part.alignment
+    mask, alignment, errors = measured.metric_mask, recipe.part.alignment, recipe.ripple_errors
     maps = (measured.height_nm, plan.predicted_removal_nm)
     now, removal = (remove_terms(one, mask, alignment)[mask] for one in maps)
     removed = float(np.sqrt(np.mean(plan.predicted_removal_nm[mask] ** 2)))
@@ -164,7 +166,7 @@ def forecast_of(
         noise_nm=_finer_noise_nm(recipe, measured),
         finer_nm=_finer_nm(recipe, measured),
         known_ripple=believed.ripple,
-        ripple=None if acting is None else ripple_of(acting, plan.expected_time_s, measured.grid, mask),
+        ripple=None if acting is None else ripple_of(acting, plan.expected_time_s, measured.grid, mask, errors=errors),
         sample_mm=None if measured.map_grid is None else measured.map_grid.pitch_mm,
     )
 
@@ -173,34 +175,52 @@ HALF = 0.5
 """Share of a line's limit from which the ripple of a path is worth a note."""
 
 
-def ripple_notes(lines: Sequence[ToleranceLine], ripple: Ripple) -> list[str]:
-    """Describe the ripple of a plan, and each tolerance line of which it alone takes more than half."""
+def ripple_notes(
+    lines: Sequence[ToleranceLine], ripple: Ripple, side_mm: float, acting: ActingSpots | None = None
+) -> list[str]:
+    """Describe the ripple of a plan, and each tolerance line of which it alone takes more than half.
+
+    Args:
+        lines: of the drawing.
+        ripple: of the plan.
+        side_mm: width of the map, which the rings of a spectrum depend on.
+        acting: spots along the path, for the line distance that would do; None: none is named.
+    """
     if not ripple.lines:
         return []
-    off = f"{ripple.rms_high_nm:.2f} nm with a spot whose radius is off by {100 * ripple.radius_error:g} %"
-    found = [f"the path leaves a ripple of {ripple.rms_nm:.2f} nm RMS ({ripple.words}), {off}"]
+    high = f"{ripple.rms_high_nm:.2f} nm with {ripple.errors.words}"
+    found = [f"the path leaves a ripple of {ripple.rms_nm:.2f} nm RMS ({ripple.words}), {high}"]
     for line in lines:
-        own = ripple_in_line(line, ripple)
-        if own is not None and own > HALF * line.limit:
-            found.append(
-                f"that ripple alone is {own:.3g} {line.unit} of the {line.limit:g} {line.unit} of {line.what}: use a "
-                "path with a smaller line distance, or two passes at an angle"
-            )
+        own = ripple_in_line(line, ripple, side_mm)
+        if own is None or own <= HALF * line.limit:
+            continue
+        share = HALF * line.limit / own
+        share = share**0.5 if line.figure == "psd" else share
+        pitch = None if acting is None else quieter_pitch_mm(acting, ripple, share)
+        todo = "a smaller line distance" if pitch is None else f"lines {pitch:.3g} mm apart"
+        found.append(
+            f"that ripple alone is {own:.3g} {line.unit} of the {line.limit:g} {line.unit} of {line.what}: use a path "
+            f"with {todo}, or two passes at an angle"
+        )
     return found
 
 
-def ripple_in_line(line: ToleranceLine, ripple: Ripple) -> float | None:
-    """Return a tolerance line's figure of the ripple alone, as high as it may be; None for other figures than RMS."""
-    inside = [
-        one
-        for one in ripple.lines
-        if one.period_mm > line.above_mm and (line.below_mm is None or one.period_mm < line.below_mm)
-    ]
-    if line.figure == "slope_rms":  # nm / mm = urad
-        return float(np.sqrt(sum((2 * np.pi / one.period_mm * one.rms_high_nm) ** 2 for one in inside)))
-    if line.figure in NORMS:
-        return float(np.sqrt(sum(one.rms_high_nm**2 for one in inside)))
-    return None
+def ripple_in_line(line: ToleranceLine, ripple: Ripple, side_mm: float) -> float | None:
+    """Return a tolerance line's figure of the ripple alone, 95 % value; None for the figures A and C of ISO 10110."""
+    rms_nm = ripple_rms_nm(line, ripple, high=True)
+    match line.figure:
+        case "rms" | "RMSt" | "RMSi" | "RMSa":
+            return rms_nm
+        case "pv" | "B":
+            return 2 * 2**0.5 * rms_nm
+        case "slope_rms":
+            return ripple_slope_urad(line, ripple, high=True)
+        case "slope_max":
+            return 2**0.5 * ripple_slope_urad(line, ripple, high=True)
+        case "psd":
+            return ripple_psd_alone(line, ripple, side_mm)
+        case _:
+            return None
 
 
 def noise_nm(recipe: Recipe, measured: MeasureResult) -> float:

@@ -136,6 +136,7 @@ def make_recipe(config: CellConfig, hooks: Hooks) -> Recipe:
         solver=_named(config, "dwell.solver", config.dwell.solver, solvers),
         cross_check=_named(config, "dwell.cross_check", cross_check, solvers) if cross_check else None,
         finding=config.limits.finding,
+        ripple_errors=config.ripple.errors,
         tolerance=config.lines,
         remembers=config.estimates.use_previous,
         touch_off=touch_off_of(config, program),

@@ -17,6 +17,7 @@ from polishd.model.program import Envelope
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import Accept, ToleranceLine
 from polishd.process.metrology.absolute_test import SystemMap
+from polishd.process.removal.ripple import MODELLED, PathErrors
 
 DEFAULT = FindingLimits()
 
@@ -61,6 +62,8 @@ class Recipe:
     solver: DwellSolver
     cross_check: DwellSolver | None
     finding: FindingLimits = DEFAULT
+    ripple_errors: PathErrors = MODELLED
+    """Errors that the forecast of ripple counts with."""
     tolerance: tuple[ToleranceLine, ...] = ()
     """Lines of the drawing, where the job has no short form."""
     remembers: bool = False

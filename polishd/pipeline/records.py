@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self, TypeVar, get_type_hints
@@ -351,6 +351,8 @@ class PlanResult:
     """Forecast for the next map; None: a pass of an earlier polishd."""
     tool: str = ""
     """Tool of the plan; empty: the cell has one tool."""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    """Figures of the plan for an operator (``PlanFigures``); empty: a pass of an earlier polishd, or not needed."""
 
     @classmethod
     def of(cls, plan: Plan, solved: SolveResult, part: Program, forecast: Forecast, tool: str = "") -> Self:
@@ -373,7 +375,7 @@ class PlanResult:
             residual_nm=dwell.residual_nm,
             curve_s=np.array([row["total_s"] for row in solved.curve]),
             curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
-            forecast=forecast,
+            forecast=replace(forecast, floor_nm=dwell.certificate.floor_nm),
             tool=tool,
         )
 
@@ -398,7 +400,8 @@ class PlanResult:
         total = {"predicted_rms_nm": self.predicted_rms_nm, "dwell_s": float(self.expected_s.sum())}
         expected = None if self.forecast is None else self.forecast.facts()
         tool = {"tool": self.tool} if self.tool else {}
-        return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
+        shown = {"plan_figures": dict(self.figures)} if self.figures else {}
+        return {"certificate": certificate, **total, "forecast": expected, **tool, **shown, **self.believed.facts()}
 
     def start(self) -> Arrays:
         """A separate file of the store, small compared with the plan's."""
@@ -425,7 +428,16 @@ class PlanResult:
         expected = facts.get("forecast")
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         rest["tool"] = facts.get("tool", "")
+        rest["figures"] = facts.get("plan_figures", {})
         return record_of(cls, {}, {**arrays, **rest, "believed": EstimatesInUse.load(facts, initial)})
+
+
+def made_ripple(passes: Iterable[Mapping[str, Any]]) -> Ripple:
+    """Return the ripple of passes that were made, from their facts; an interrupted pass counts as a whole one."""
+    ripple = NO_RIPPLE
+    for facts in passes:
+        ripple = ripple.plus(record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}))
+    return ripple
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:

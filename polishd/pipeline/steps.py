@@ -43,6 +43,7 @@ from polishd.process.metrology.spectra import surface_stats
 from polishd.process.metrology.statistics import Removal, remove_terms
 from polishd.process.metrology.tolerance import alignment_notes, judge_lines, subtract_nominal, tolerance_notes
 from polishd.process.removal.effect import Effect
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple
 from polishd.process.removal.transfer_function import SpotTransferFunction, correctable_surface
 from polishd.process.robot import motion
 from polishd.process.toolpath.apertures import tool_axes
@@ -220,11 +221,16 @@ def initial_estimates(recipe: Recipe) -> EstimatesInUse:
 
 
 def condition(
-    recipe: Recipe, surface: SurfaceMap, masks: Masks | None = None, last: Registration | None = None
+    recipe: Recipe,
+    surface: SurfaceMap,
+    masks: Masks | None = None,
+    last: Registration | None = None,
+    ripple: Ripple = NO_RIPPLE,
 ) -> MeasureResult:
     """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
 
-    ``masks`` and ``last`` come from earlier maps of the part: its frozen masks, and its last registration.
+    ``masks`` and ``last`` come from earlier maps of the part: its frozen masks, and its last registration. ``ripple``
+    is the forecast of all passes that were made: what the map does not show of it counts in the tolerance lines.
     """
     profiled = map_on_part(surface, recipe.instrument, recipe.system)
     lies = CENTRED
@@ -250,7 +256,7 @@ def condition(
     )
     height = np.where(part.solve_mask, part.height_nm, 0.0)
     repeats = None if recipe.instrument is None else recipe.instrument.repeatability_nm
-    judged = judge_lines(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats)
+    judged = judge_lines(recipe.lines, figure, clear, clean.grid.pitch_mm, repeats, ripple=ripple)
     judged = acceptance.bounded(recipe, judged, figure, clear, clean.grid.pitch_mm)
     wanted = min((line.limit for line in recipe.lines if line.unit == "nm"), default=0.0)
     notes = (*alignment_notes(clean.height_nm, clear, recipe.part.alignment, wanted), *tolerance_notes(judged))

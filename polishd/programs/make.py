@@ -28,12 +28,12 @@ from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import path_program, read
 from polishd.process.optic_surface import unit_normals
 from polishd.process.removal import contact
-from polishd.process.removal.ripple import ContactAt, QuietPitch, quiet_pitch
+from polishd.process.removal.ripple import MORE_PATH, ContactAt, QuietPitch, quiet_pitch
 from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot.compliance import compliance_at, depth_ratio
 from polishd.process.toolpath import apertures
 from polishd.process.toolpath.apertures import Aperture, largest_turn_deg, over_outline, tool_axes
-from polishd.process.toolpath.paths import quiet_step_mm, raster, spiral
+from polishd.process.toolpath.paths import raster, spiral
 from polishd.programs.options import MakeOptions
 from polishd.programs.rewrite import require_new_target, target_file
 from polishd.programs.show import path_picture
@@ -88,8 +88,9 @@ def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
     with stderr.status("making the path"):
         program = make_program(options, config, hooks)
-    _write(options, program.path, program.text)
     answer = program.answer
+    options = replace(options, pitch_mm=answer["pitch_mm"])
+    _write(options, program.path, program.text)
     emit(answer, as_json=as_json, table=lambda: _table(options, answer), lines=[f"written to {options.out}"])
 
 
@@ -98,6 +99,7 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
 
     ComputeError or ProgramError where it is impossible, or where the cell's `plan` or `run` would refuse it.
     """
+    options, quiet = _with_pitch(options, config)
     encoding = _encoding(options)
     dialect = options.dialect or (DEFAULT if config is None else dialect_of(config))
     made = make_path(options, config)
@@ -113,6 +115,8 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
         "dialect": dialect_named(dialect).name,
         "encoding": encoding,
         "points": len(points) - 1,
+        "pitch_mm": options.pitch_mm,
+        "ripple": None if quiet is None else {key: getattr(quiet, key) for key in RIPPLE_KEYS},
         "length_mm": float(made.length_mm.sum()),
         "duration_s": float(time_s.sum()),
         "bounds_mm": {name: [float(c.min()), float(c.max())] for name, c in zip("xyz", points.T, strict=True)},
@@ -121,6 +125,51 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
         "not_checked": list(UNCHECKED) if config is None else [],
     }
     return GeneratedProgram(made, text, answer)
+
+
+RIPPLE_KEYS = ("share", "share_high", "radius_error")
+
+
+def _with_pitch(options: MakeOptions, config: CellConfig | None) -> tuple[MakeOptions, QuietPitch | None]:
+    """The options with a line distance: the given one, RASTER_MM, or that with the least ripple in the cell.
+
+    Without a budget it may cost MORE_PATH times the path of lines RASTER_MM apart. With one, the path at its feed lasts
+    at most that long: its time is in inverse proportion to the distance.
+    """
+    budget_s = options.time_budget_s
+    if budget_s is not None and (config is None or options.pitch_mm is not None):
+        raise typer.BadParameter("--time-budget chooses the line distance: give it with --cell, without --pitch")
+    if config is None or options.pitch_mm is not None:
+        return replace(options, pitch_mm=options.pitch_mm or RASTER_MM), None
+    lines = {"shape": options.shape, "direction_deg": options.direction_deg}
+    if budget_s is None:
+        quiet = quiet_lines(config, RASTER_MM, **lines)
+        return replace(options, pitch_mm=quiet.pitch_mm), quiet
+    if not 0 < budget_s < np.inf:
+        raise typer.BadParameter(f"--time-budget {budget_s:g}: must be above 0")
+    least_mm = RASTER_MM * _path_s(replace(options, pitch_mm=RASTER_MM), config) / budget_s
+    for _ in range(BUDGET_ROUNDS):  # turns and landings are no part of the proportion
+        least_mm = max(least_mm, LEAST_PITCH_MM)
+        at_most_mm = max(RASTER_MM, MORE_PATH * least_mm)
+        quiet = quiet_lines(config, at_most_mm, **lines, more_path=at_most_mm / least_mm)
+        found = replace(options, pitch_mm=quiet.pitch_mm)
+        over = _path_s(found, config) / budget_s
+        if over <= 1.0:
+            return found, quiet
+        least_mm = 1.001 * quiet.pitch_mm * over
+    raise typer.BadParameter(
+        f"--time-budget {budget_s:g}: no path is that short: the last one takes {over:.2f} times that"
+    )
+
+
+BUDGET_ROUNDS = 8
+LEAST_PITCH_MM = 0.1
+"""However much time there is."""
+
+
+def _path_s(options: MakeOptions, config: CellConfig) -> float:
+    """Seconds of the path with these options."""
+    return float(_timing(options, _encoding(options), make_path(options, config).length_mm)[1].sum())
 
 
 def dialect_of(config: CellConfig) -> str:
@@ -154,7 +203,7 @@ def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
 def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
     """Points on the optic and tool axes, in the part's frame. ComputeError where there are none."""
     aperture, optic = _aperture(options, config), _optic(options, config)
-    lengths = (options.pitch_mm, options.step_mm)
+    lengths = (options.pitch_mm or RASTER_MM, options.step_mm)
     beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
     if options.shape == "raster":
         points = raster(aperture, *lengths, **beyond, optic=optic, direction_deg=options.direction_deg)
@@ -183,7 +232,7 @@ def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
     values = _numbers("--aperture", rest)
     if not count or len(values) != count:
         raise typer.BadParameter(
-            f"--aperture {options.aperture!r} is none of circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, "
+            f"--aperture {options.aperture!r} is not a shape. Use circle:D, annulus:D,d, ellipse:A,B, rectangle:W,H, "
             "hexagon:W, polygon:FILE, mask:MAP"
         )
     return make(*values)
@@ -197,7 +246,7 @@ def _optic(options: MakeOptions, config: CellConfig | None) -> Optic:
         most = {"flat": 0, "sphere": 1, "conic": 2, "asphere": len(values)}.get(name, -1)
         if len(values) != most or (name == "asphere" and len(values) < 3):
             raise typer.BadParameter(
-                f"--optic {options.optic!r} is none of flat, sphere:R, conic:R,K, asphere:R,K,A4,A6,..."
+                f"--optic {options.optic!r} is not a surface. Use flat, sphere:R, conic:R,K, asphere:R,K,A4,A6,..."
             )
         radius, conic, *even = [*values, 0.0, 0.0][: max(len(values), 2)]
         nominal = Optic(radius if values else None, conic, tuple(even))
@@ -244,13 +293,14 @@ def _require_cell_takes(config: CellConfig, hooks: Hooks, program: Program) -> N
 
 def _title(options: MakeOptions) -> str:
     over = options.aperture or "the cell's aperture"
-    return f"{options.shape}, {over}, pitch {options.pitch_mm:g} mm, step {options.step_mm:g} mm"
+    return f"{options.shape}, {over}, pitch {options.pitch_mm:.4g} mm, step {options.step_mm:g} mm"
 
 
 def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
     bounds = ", ".join(f"{name} {low:.3f} to {high:.3f}" for name, (low, high) in answer["bounds_mm"].items())
     rows = [
         ("points", f"{answer['points']}, time in: {answer['encoding']}"),
+        *_pitch_rows(answer),
         ("length", f"{answer['length_mm']:.1f} mm"),
         ("duration", f"{answer['duration_s']:.1f} s"),
         ("bounds", f"{bounds} mm"),
@@ -258,6 +308,12 @@ def _table(options: MakeOptions, answer: dict[str, Any]) -> Any:
         *(("not checked without --cell", what) for what in answer["not_checked"]),
     ]
     return key_table(f"{_title(options)} ({answer['dialect']})", rows)
+
+
+def _pitch_rows(answer: dict[str, Any]) -> list[tuple[str, str]]:
+    """The chosen line distance with its ripple."""
+    quiet = answer["ripple"]
+    return [] if quiet is None else [("line distance", QuietPitch(answer["pitch_mm"], **quiet).words)]
 
 
 # Width of a cell's contact, which sets the line distance of a path.
@@ -270,9 +326,29 @@ def contact_radius_mm(config: CellConfig) -> float:
     return float(contact.contact_radius_mm(process, np.array(depth)))
 
 
-def quiet_lines(config: CellConfig, at_most_mm: float) -> QuietPitch:
-    """The distance of lines along the part's x with the least ripple of the cell's modeled spot (`quiet_pitch`)."""
-    return quiet_pitch(HertzSpot(config.tool_process()), contact_at_center(config), at_most_mm)
+SPIRAL_LINES = 8
+"""Directions over half a turn in which the lines of a spiral are looked at."""
+
+
+def quiet_lines(
+    config: CellConfig,
+    at_most_mm: float,
+    *,
+    shape: str = "raster",
+    direction_deg: float = 0.0,
+    more_path: float = MORE_PATH,
+) -> QuietPitch:
+    """Find the line distance with the least ripple of the cell's modeled spot, 95 % value (`quiet_pitch`).
+
+    ``direction_deg``: of a raster's lines, from the part's x. ``more_path``: path over that of the largest distance.
+    """
+    own = contact_at_center(config)
+    across = [np.radians(direction_deg) + np.pi / 2]
+    if shape != "raster":
+        across = list(np.arange(SPIRAL_LINES) * np.pi / SPIRAL_LINES)
+    contacts = [replace(own, across_rad=float(one)) for one in across]
+    spot, error = HertzSpot(config.tool_process()), config.ripple.radius_error
+    return quiet_pitch(spot, contacts, at_most_mm, radius_error=error, more_path=more_path)
 
 
 def contact_at_center(config: CellConfig) -> ContactAt:
@@ -316,7 +392,7 @@ def own_path(config: CellConfig, dwells_mm: float | None = None) -> tuple[FloatA
     ``dwells_mm``: largest distance of points with dwells, so that they leave no ripple along the lines.
     """
     covered = over_outline(config.outline()).larger(OVERRUN_MM)
-    step = quiet_step_mm(contact_radius_mm(config), dwells_mm or RASTER_MM)
+    step = quiet_lines(config, dwells_mm or RASTER_MM).pitch_mm
     along = step if dwells_mm else RASTER_MM
     points = raster(covered, step, along, optic=config.optic(), landing_mm=LANDING_MM - OVERRUN_MM)
     axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())

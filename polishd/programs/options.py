@@ -45,7 +45,22 @@ class MakeOptions:
             help="Take aperture, optic, dip, dialect and frame from this cell, and check the program for it",
         ),
     ] = None
-    pitch_mm: Annotated[float, Option("--pitch", metavar="MM", help="Distance between lines or turns")] = 1.0
+    pitch_mm: Annotated[
+        float | None,
+        Option(
+            "--pitch",
+            metavar="MM",
+            help="Distance between lines or turns (default: 1, or with --cell the one near 1 with the least ripple)",
+        ),
+    ] = None
+    time_budget_s: Annotated[
+        float | None,
+        Option(
+            "--time-budget",
+            metavar="S",
+            help="With --cell: choose the distance with the least ripple whose path lasts no longer at its feed",
+        ),
+    ] = None
     step_mm: Annotated[float, Option("--step", metavar="MM", help="Distance between points")] = 1.0
     direction_deg: Annotated[
         float, Option("--direction", metavar="DEG", help="Raster: direction of the first line, from x")

@@ -53,7 +53,8 @@ class _Pass:
         said, misfit = judged(self.recipe, self.program, covers)
         found = [f"check will refuse: {said}{misfit}"] if misfit else []
         found += [*self.program.warnings, *steps.violations(self.recipe, self.plan), *self.solved.answer.notes]
-        found += ripple_notes(self.recipe.lines, self.planned.ripple)
+        side_mm = max(self.measured.grid.shape) * self.measured.grid.pitch_mm
+        found += ripple_notes(self.recipe.lines, self.planned.ripple, side_mm, self.solved.answer.acting)
         return list(dict.fromkeys([*found, *self.planned.certificate.notes]))  # the effect has its own note in both
 
     def row(self) -> dict[str, Any]:

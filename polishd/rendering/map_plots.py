@@ -19,25 +19,15 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from polishd.model.surface import BoolArray, FloatArray
-from polishd.rendering.plots import BLUE, DIVERGING, GREEN, INK, MUTED, NO_DATA, ORANGE, SEQUENTIAL, ruled
+from polishd.rendering.plots import BLUE, GREEN, INK, MUTED, NO_DATA, ORANGE, ruled
+from polishd.rendering.scales import DIVERGING, LEAST_NM, SEQUENTIAL, height_limit, value_limits
 
-PERCENTILE = 99.5
-"""Percentile of the values at which the colors end: a few spikes do not make the rest pale."""
-LEAST_NM = 1e-6
-"""Smaller heights are rounding errors."""
 MAX_PX = 1000
 """Samples of a map that a panel shows along a side. More take time and cannot be seen."""
 COLORS = (BLUE, ORANGE, GREEN, MUTED, "#cc79a7", "#e69f00")
 """Colors of the lines of a plot, in this order."""
 MAX_NAMES = 6
 """Measurements that are named on an axis. More have numbers."""
-
-
-def height_limit(height_nm: FloatArray, percentile: float = PERCENTILE) -> float:
-    """Half-width of the color scale of heights about 0; 1 nm for a flat map."""
-    inside = np.abs(height_nm[np.isfinite(height_nm)])
-    limit = float(np.percentile(inside, percentile)) if inside.size else 0.0
-    return limit if limit > LEAST_NM else 1.0
 
 
 def height_map(
@@ -344,7 +334,7 @@ def path_map(
     """
     x, y = position_mm[:, 0], position_mm[:, 1]
     panel_pt = 175.0 if bar is None else min(ax.bbox.size) * 72 / ax.figure.dpi
-    low, high = float(np.nanmin(values)), float(np.nanpercentile(values, percentile))
+    low, high = value_limits(values, percentile)
     points = ax.scatter(
         x,
         y,
@@ -354,7 +344,7 @@ def path_map(
         linewidths=0,
         cmap=SEQUENTIAL,
         vmin=low,
-        vmax=max(high, low + 1e-9),
+        vmax=high,
     )
     ax.set_title(title, parse_math=False)
     ax.set(xlabel="x, mm", ylabel="y, mm", aspect="equal")

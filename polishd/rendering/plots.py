@@ -25,11 +25,6 @@ BLUE = "#0072b2"
 ORANGE = "#d55e00"
 GREEN = "#009e73"
 
-DIVERGING = "RdBu_r"
-"""Colors of heights: red high, blue low, white at 0."""
-SEQUENTIAL = "cividis"
-"""Colors of values without a sign."""
-
 DPI = 110
 """Of a picture for the screen."""
 PAGE_IN = 6.77

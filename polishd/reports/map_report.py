@@ -34,17 +34,9 @@ from polishd.rendering.document import (
     pdf,
 )
 from polishd.rendering.map_grid import LOWEST_IN, SLENDER
-from polishd.rendering.map_plots import (
-    PERCENTILE,
-    Spectrum,
-    color_bar,
-    height_limit,
-    height_map,
-    histogram,
-    profiles,
-    value_map,
-)
+from polishd.rendering.map_plots import Spectrum, color_bar, height_map, histogram, profiles, value_map
 from polishd.rendering.plots import BLUE, INK, ORANGE, PAGE_IN, add_panel, page_figure, png, polishd_style
+from polishd.rendering.scales import PERCENTILE, height_limit
 from polishd.rendering.terminal import json_line, say, stdout
 from polishd.reports import wording
 from polishd.reports.map_figures import MapReportData, MapReportOptions, reported

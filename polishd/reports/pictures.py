@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.rendering.map_grid import MapGroup, MapPanel, map_grid
-from polishd.rendering.map_plots import PERCENTILE, ConvergenceStep, Spectrum, convergence, height_limit, spectrum
+from polishd.rendering.map_plots import ConvergenceStep, Spectrum, convergence, spectrum
 from polishd.rendering.plots import BLUE, MUTED, ORANGE, PAGE_IN, add_panel, page_figure
+from polishd.rendering.scales import PERCENTILE, height_limit
 
 LEFT_IN, RIGHT_IN = 0.68, 0.14
 """Room for the labels of y and for half of the last label of x, of a chart."""

@@ -15,10 +15,8 @@ from matplotlib.figure import Figure
 from polishd.process.metrology.spectra import radial_psd
 from polishd.rendering.map_grid import MapGroup, MapPanel, map_grid
 from polishd.rendering.map_plots import (
-    PERCENTILE,
     ConvergenceStep,
     Spectrum,
-    height_limit,
     histogram,
     path_map,
     plain_log,
@@ -35,6 +33,7 @@ from polishd.rendering.plots import (
     polishd_style,
     ruled,
 )
+from polishd.rendering.scales import PERCENTILE, height_limit
 from polishd.reports import wording
 from polishd.reports.pictures import RIGHT_IN, NamedMap, chart
 from polishd.reports.run_reader import Arrays, BoolArray, Cycle, FloatArray, ReportSurface

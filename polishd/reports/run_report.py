@@ -24,8 +24,8 @@ from polishd.rendering.document import (
     Verdict,
     html,
 )
-from polishd.rendering.map_plots import PERCENTILE
 from polishd.rendering.plots import png, polishd_style
+from polishd.rendering.scales import PERCENTILE
 from polishd.reports import pictures, run_pictures, wording
 from polishd.reports.run_pictures import write_removal_check
 from polishd.reports.run_reader import Cycle, ReportSurface, RunFolderReader, read_folder
@@ -74,6 +74,7 @@ CERTIFICATE: Mapping[str, str] = {
     "seconds": "time to solve, CPU s",
     "cross_check": "cross-checked by",
     "cross_check_gap": "gap to the cross-check (relative)",
+    "floor_nm": "mean removal of the machine's shortest times, nm",
     "cutoff_period_mm": "shorter periods are out of reach of this spot, mm",
     "notes": "notes",
 }

@@ -18,6 +18,7 @@ from typing import Any
 import tomlkit
 
 from polishd.config.job_file import JobFile
+from polishd.config.renamed_keys import present_text
 from polishd.config.toml_loader import join_words
 from polishd.model.errors import ConfigError
 from polishd.shop.database import DatabaseTransaction
@@ -213,7 +214,8 @@ def _given(sql: DatabaseTransaction, request: str, part: int) -> dict[str, Any]:
     row = sql.row("SELECT job, part_id, content, files FROM part WHERE id = ?", part)
     if row is None:
         raise ConfigError("there is no such part")
-    return {"part": {**row, "files": json.loads(row["files"])}, "request": request}
+    content = present_text(row["content"])  # added before release 1.0
+    return {"part": {**row, "content": content, "files": json.loads(row["files"])}, "request": request}
 
 
 def _open(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any] | None:

@@ -92,8 +92,10 @@ class BatchPlant:
             "process_s": self.world.process_s,
             "pitch_mm": self.world.part.grid.pitch_mm,
         }
-        height = self.world.part.map_nm()
-        return draws, {"height_nm": height, "held_nm": add_mount_errors(height, self.config)}
+        height, patch = self.world.part.map_nm(), self.world.part.patch
+        arrays = {} if patch is None else {"patch_nm": patch.height_nm, "patch_start_nm": patch.start_nm}
+        draws |= {} if patch is None else {"patch_pitch_mm": patch.grid.pitch_mm}
+        return draws, arrays | {"height_nm": height, "held_nm": add_mount_errors(height, self.config)}
 
 
 def of(raw: dict[str, Any], seed: int | None) -> BatchPlant:

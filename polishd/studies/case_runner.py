@@ -111,7 +111,8 @@ def run_of(row: dict[str, Any]) -> ClosedLoopResult:
         return ClosedLoopResult(
             row["scenario"], row["loop"], row["seed"], ERROR, row["error"], (), 0, (), (), (), (), False, 0.0
         )
-    return ClosedLoopResult(**{field.name: _frozen(row[field.name]) for field in fields(ClosedLoopResult)})
+    known = (field.name for field in fields(ClosedLoopResult) if field.name in row)  # earlier rows have no ripple
+    return ClosedLoopResult(**{name: _frozen(row[name]) for name in known})
 
 
 def _computed(study: Study) -> Iterator[dict[str, Any]]:

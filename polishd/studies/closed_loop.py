@@ -48,9 +48,11 @@ from polishd.process.identification.findings import extend_series, findings
 from polishd.process.metrology.absolute_poses import PartPose
 from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap, separate_instrument
 from polishd.process.metrology.instrument import apply_profile
+from polishd.process.metrology.spectra import split_bands
 from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.measured_tif import tif_from_maps, volume_mm3_min
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple
 from polishd.process.robot import motion
 from polishd.programs.make import own_program
 from polishd.studies.plant_client import PlantProcess
@@ -188,6 +190,12 @@ class ClosedLoopResult:
     """True if the part is truly within its tolerance at the end."""
     cpu_s: float
     """CPU time of this process, without the plant's."""
+    ripple_nm: float | None = None
+    """Forecast RMS of the ripple of all passes; None: there is no forecast, or the plant keeps no fine patch."""
+    ripple_high_nm: float | None = None
+    """Its 95 % value."""
+    true_ripple_nm: float | None = None
+    """RMS that the passes left in the fine patch, of periods below LINES_PERIOD line distances."""
 
     @property
     def accepted(self) -> bool:
@@ -210,6 +218,8 @@ class _Account:
     named: list[str] = field(default_factory=list)
     came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
+    ripple: Ripple = NO_RIPPLE
+    """Forecast of the passes made."""
 
     def name(self, names: Iterable[str]) -> None:
         """Causes and findings, each once."""
@@ -227,6 +237,22 @@ class _Ended:
 
     how: str
     why: str = ""
+
+
+LINES_PERIOD = 1.5
+
+
+def _ripples(plant: PlantProcess, made: Ripple) -> tuple[float, float, float] | tuple[None, None, None]:
+    """Return forecast, 95 % value and truth of the ripple, RMS in nm; None where one of them is not known."""
+    own = [one for one in made.lines if one.direction == "across" and one.cause == "path"]
+    patch = plant.patch() if own else None
+    if patch is None:
+        return None, None, None
+    distance_mm, (removed, pitch_mm) = own[0].period_mm, patch
+    everywhere = np.ones(removed.shape, dtype=np.bool_)
+    short = split_bands(removed, everywhere, pitch_mm, (LINES_PERIOD * distance_mm,))[1]
+    shown = Ripple(tuple(one for one in made.lines if one.period_mm < LINES_PERIOD * distance_mm))
+    return shown.rms_nm, shown.rms_high_nm, float(short.std())
 
 
 class ClosedLoop:
@@ -291,6 +317,7 @@ class ClosedLoop:
             tuple(account.came_nm),
             account.true_fits,
             time.process_time() - begun_s,
+            *_ripples(plant, account.ripple),
         )
 
     def _begun(self, plant: PlantProcess, account: _Account) -> tuple[Recipe, EstimatesInUse | _Ended]:
@@ -370,6 +397,7 @@ class _Job:
             if small_gain_finding(recipe, planned.forecast):
                 return _Ended(Outcome.STALLED.value)
             last = (planned, *self._execute(plan))
+            account.ripple = account.ripple.plus(planned.ripple)
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
@@ -417,7 +445,7 @@ class _Job:
         """Measure the part so long after now, and book its true figure."""
         recipe, plant, account = self.recipe, self.plant, self.account
         masks, lay = (None, None) if before is None else (before.masks, before.registration)
-        surface = steps.condition(recipe, self.map(wait_s), masks, lay)
+        surface = steps.condition(recipe, self.map(wait_s), masks, lay, account.ripple)
         truth, height = plant.truth(held=recipe.accept != "figure")  # what the certificate is of
         true = self._map(height, float(truth["pitch_mm"]), -1)
         truly = steps.condition(with_certified_map(recipe), true, surface.masks)

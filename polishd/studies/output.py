@@ -26,7 +26,8 @@ from polishd.rendering.map_plots import (
     spectrum,
     value_map,
 )
-from polishd.rendering.plots import BLUE, DIVERGING, NO_DATA, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.plots import BLUE, NO_DATA, ORANGE, figure, png, polishd_style, ruled
+from polishd.rendering.scales import DIVERGING
 from polishd.rendering.terminal import figure_table, key_table
 from polishd.studies.case_runner import LoopRow, LoopRows
 from polishd.studies.corrections import (
@@ -175,6 +176,21 @@ def _as_forecast(looped: LoopRows) -> str:
     return f"{held / of:.0%} of {of}" if of else "none came so far"
 
 
+def _ripple_note(looped: LoopRows) -> list[str]:
+    """Compare the forecast ripple with that of the plants' fine patches."""
+    found = [
+        (run.ripple_nm, run.ripple_high_nm, run.true_ripple_nm)
+        for run in looped.runs
+        if run.ripple_nm is not None and run.ripple_high_nm is not None and run.true_ripple_nm is not None
+    ]
+    if not found:
+        return []
+    ratio = float(np.median([true / nominal for nominal, _, true in found]))
+    within = sum(true <= high for _, high, true in found)
+    of_high = f"at most the forecast's 95 % value in {within} of {len(found)} jobs"
+    return [f"ripple: the plant's is {ratio:.2f} times the forecast in the median, and {of_high}"]
+
+
 def loop_notes(looped: LoopRows) -> list[str]:
     """Explain the columns, and list why loops stopped."""
     stopped = {f"{run.scenario}, {run.loop}, seed {run.seed}: {run.why}": None for run in looped.runs if run.why}
@@ -184,6 +200,7 @@ def loop_notes(looped: LoopRows) -> list[str]:
         "passes, RMS and CPU are medians; passes count to tolerance, true RMS is the part's own at the job's end",
         "falsely: accepted, and the part itself is out of tolerance; named rightly: what is wrong, and nothing else",
         f"as expected: passes that left what their plan had expected with a chance of 9 in 10 ({_as_forecast(looped)})",
+        *_ripple_note(looped),
         *shown,
         *more,
     ]

@@ -70,6 +70,13 @@ class PlantProcess:
         answer, arrays = self._request({"do": "truth"})
         return answer, arrays["held_nm" if held else "height_nm"]
 
+    def patch(self) -> tuple[FloatArray, float] | None:
+        """Return (n, n) removal so far in the fine patch, nm, and its pitch in mm; None where there is none."""
+        answer, arrays = self._request({"do": "truth"})
+        if "patch_nm" not in arrays:
+            return None
+        return arrays["patch_start_nm"] - arrays["patch_nm"], float(answer["patch_pitch_mm"])
+
     def _request(
         self, request: Mapping[str, Any], arrays: Mapping[str, FloatArray] | None = None
     ) -> tuple[dict[str, Any], dict[str, FloatArray]]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 from starlette.applications import Starlette
@@ -19,11 +18,14 @@ from polishd import __version__
 from polishd.config.cell import CellConfig
 from polishd.model.errors import PolishdError
 from polishd.util.extras import missing_message
-from polishd.web.api import MAPS, MOST_NUMBER, Api
+from polishd.web.api import MOST_NUMBER, Api
 from polishd.web.http import server as door
 from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.static_files import static_files
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
+from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
+from polishd.web.part_history import MOST_PAGE, RESULTS, SORTS
 from polishd.web.watcher import polling_daemon
 
 # The table of routes: handler and required role.
@@ -31,6 +33,8 @@ from polishd.web.watcher import polling_daemon
 Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
 
 AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
+AT_FILE = "/api/jobs/{job:int}/files/{name}"
+AT_MAP = AT_CYCLE + "/map/{kind}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,17 +60,30 @@ ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("DELETE", "/api/session", WATCH, "sign out", Api.sign_out),
     ApiRoute("GET", "/api/state", WATCH, "state of the cell, last readings of its devices, and their ages", Api.state),
     ApiRoute("GET", "/api/health", WATCH, "link ages, disk, memory and loop", Api.health),
-    ApiRoute("GET", "/api/events", WATCH, "what happens, as a stream (SSE): `state`, `happened`", Api.events),
+    ApiRoute("GET", "/api/events", WATCH, "events as a stream (SSE): `state`, `happened`", Api.events),
+    ApiRoute("GET", "/api/overview", WATCH, "limits, tolerance, progress of pass and phase, time left", Api.overview),
+    ApiRoute("GET", "/api/readings", WATCH, "force and speed of the last ten minutes, twice a second", Api.readings),
     ApiRoute("GET", "/api/alarms", WATCH, "alarms that are not acknowledged, the oldest first", Api.alarms),
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
+    ApiRoute("GET", "/api/jobs/{job:int}", WATCH, "one part: result, passes, approvals, files", Api.job),
+    ApiRoute("GET", AT_FILE, WATCH, "a picture, the report or a certificate of its run folder", Api.file),
     ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
-    ApiRoute("GET", AT_CYCLE + "/map/{kind}", WATCH, "a map as an array: `measured`, `predicted`, `removal`", Api.map),
+    ApiRoute("GET", AT_MAP, WATCH, f"a map as an array: {', '.join(f'`{kind}`' for kind in MAP_KINDS)}", Api.map),
     ApiRoute("GET", AT_CYCLE + "/psd", WATCH, "power over spatial frequency of the measured map", Api.psd),
     ApiRoute("GET", AT_CYCLE + "/plan", WATCH, "the path, its dwell, compliance and gamma", Api.plan),
-    ApiRoute("GET", AT_CYCLE + "/certificate", WATCH, "what the dwell's solver proved", Api.certificate),
-    ApiRoute("GET", "/api/history", WATCH, "what became of the cell's parts", Api.history),
-    ApiRoute("GET", "/api/journal", WATCH, "what happened and who ordered it, newest first; `?before=N`", Api.journal),
+    ApiRoute("GET", AT_CYCLE + "/cell", WATCH, "the robot's joints along the plan, its path and the part", Api.cell),
+    ApiRoute("GET", AT_CYCLE + "/certificate", WATCH, "certificate of the solved dwell", Api.certificate),
+    ApiRoute("GET", "/api/history", WATCH, "the cell's parts, filtered, sorted, in pages", Api.history),
+    ApiRoute("GET", "/api/history/weeks", WATCH, "figures of the cell's parts by week", Api.weeks),
+    ApiRoute(
+        "GET",
+        "/api/plans/{program}",
+        WATCH,
+        "figures of a plan that waits for approval, and of the last pass",
+        Api.waiting_plan,
+    ),
+    ApiRoute("GET", "/api/journal", WATCH, "events with their users, newest first; `?before=N`", Api.journal),
     ApiRoute("GET", "/api/config", ENGINEER, "all values of the cell's configuration in force", Api.config),
     ApiRoute(
         "POST",
@@ -86,9 +103,9 @@ ROUTES: tuple[ApiRoute, ...] = (
         _REASON,
         exempt=True,
     ),
-    ApiRoute("POST", "/api/orders/resume", OPERATE, "go on, with a new measurement first", Api.resume, _REASON),
-    ApiRoute("POST", "/api/approve", OPERATE, "the plan that waits runs", Api.approve, (("program_sha256", "string"),)),
-    ApiRoute("POST", "/api/alarms/acknowledge", OPERATE, "they were seen", Api.acknowledge, (("alarms", "array"),)),
+    ApiRoute("POST", "/api/orders/resume", OPERATE, "continue, with a new measurement first", Api.resume, _REASON),
+    ApiRoute("POST", "/api/approve", OPERATE, "approve the waiting plan", Api.approve, (("program_sha256", "string"),)),
+    ApiRoute("POST", "/api/alarms/acknowledge", OPERATE, "acknowledge alarms", Api.acknowledge, (("alarms", "array"),)),
     ApiRoute(
         "POST",
         "/api/queue/move",
@@ -101,7 +118,7 @@ ROUTES: tuple[ApiRoute, ...] = (
         "POST",
         "/api/queue/remove",
         OPERATE,
-        "take a job out",
+        "remove a job",
         Api.remove,
         (("job", "string"), ("reason?", "string")),
     ),
@@ -114,6 +131,27 @@ ROUTES: tuple[ApiRoute, ...] = (
 ERROR = {"type": "object", "properties": {"ok": {"type": "boolean"}, "error": {"type": "string"}}}
 NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
 TYPES = {"string": {"type": "string"}, "array": {"type": "array", "items": NUMBER}}
+PATH_SCHEMAS: Mapping[str, Any] = {
+    "kind": {"enum": list(MAP_KINDS)},
+    "name": TYPES["string"],
+    "program": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
+}
+_PARTS = {"text": TYPES["string"], "result": {"enum": list(RESULTS)}, "since": NUMBER, "until": NUMBER}
+QUERIES: Mapping[str, Mapping[str, Any]] = {
+    "/api/journal": {"before": NUMBER},
+    "/api/history": {
+        **_PARTS,
+        "sort": {"enum": [sign + name for name in SORTS for sign in ("", "-")]},
+        "offset": NUMBER,
+        "limit": {"type": "integer", "minimum": 0, "maximum": MOST_PAGE},
+    },
+    "/api/history/weeks": _PARTS,
+    AT_MAP: {
+        "px": {"type": "integer", "minimum": LEAST_PX, "maximum": max(ENCODINGS.values())},
+        "encoding": {"enum": list(ENCODINGS)},
+    },
+}
+"""Schemas of the query of a route, by its path."""
 REFUSALS = {
     "400": "the request is wrong, and says how",
     "401": "not signed in",
@@ -165,12 +203,12 @@ def _operation(route: ApiRoute) -> dict[str, Any]:
         "description": f"Needs the role {route.role.value}, or more.",
         "responses": _responses(stream=route.path == "/api/events", order=route.method == "POST"),
         "parameters": [
-            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else {"enum": list(MAPS)}}
+            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else PATH_SCHEMAS[name]}
             for name, number in names
         ],
     }
-    if route.path == "/api/journal":
-        found["parameters"].append({"name": "before", "in": "query", "schema": NUMBER})
+    for name, schema in QUERIES.get(route.path, {}).items():
+        found["parameters"].append({"name": name, "in": "query", "schema": schema})
     if route.fields:
         properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]
@@ -190,16 +228,6 @@ def _responses(*, stream: bool = False, order: bool = False) -> dict[str, Any]:
     error = {"application/json": {"schema": ERROR}}
     later = {"202": {**good, "description": "not obeyed yet; it stands"}} if order else {}
     return {"200": good, **later, **{code: {"description": why, "content": error} for code, why in REFUSALS.items()}}
-
-
-FILES = {
-    "/": ("index.html", "text/html"),
-    "/page.css": ("page.css", "text/css"),
-    "/page.js": ("page.js", "text/javascript"),
-    "/draw.js": ("draw.js", "text/javascript"),
-    "/strings.js": ("strings.js", "text/javascript"),
-}
-"""All files beside the API, by path: no other file is served."""
 
 
 def application(config: CellConfig, certificate: Certificate | None = None) -> ASGIApp:
@@ -224,7 +252,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
         Path("/api/session", sign_in, methods=["POST"]),
         Path("/api/openapi.json", described, methods=["GET"]),
         *(Path(route.path, _endpoint(api, rate, route), methods=[route.method]) for route in _metrics(config)),
-        *(Path(path, _file(*file), methods=["GET"]) for path, file in FILES.items()),
+        *(Path(path, file.answer, methods=["GET"]) for path, file in static_files().items()),
     ]
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=HANDLERS)
     return RequestGuard(app, hosts_of(config.web))
@@ -270,12 +298,3 @@ def _metrics(config: CellConfig) -> Iterator[ApiRoute]:
         raise config.error("web.metrics", missing_message("GET /metrics", "metrics") + ", or remove the key") from error
     metrics = Metrics(config)
     yield ApiRoute("GET", "/metrics", Role.WATCH, "figures for Prometheus", metrics.answer)
-
-
-def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
-    content = (resources.files("polishd.web") / "static" / name).read_bytes()
-
-    async def answer(_request: Request) -> Response:
-        return Response(content, media_type=f"{kind}; charset=utf-8")
-
-    return answer

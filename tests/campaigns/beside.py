@@ -30,13 +30,17 @@ def keep(path: Path, rows: Iterable[Row]) -> None:
     write_atomic(path, "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows).encode())
 
 
-def sources(names: Iterable[str]) -> str:
-    """A hash of those files, and of the Python files in those folders, of the project."""
+def sources(scope: Iterable[str], root: Path = ROOT) -> str:
+    """Return the hash of the Python files below these folders of the project, by path and content.
+
+    A module that is a single file counts as a folder. FileNotFoundError where there is none of that name.
+    """
     content = hashlib.sha256()
-    for name in names:
-        path = ROOT / name if (ROOT / name).exists() else (ROOT / name).with_suffix(".py")  # a device is either
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            content.update(file.read_bytes())
+    for name in sorted(set(scope)):
+        path = root / name
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_name(f"{path.name}.py")]
+        for file in files:
+            content.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return content.hexdigest()[:8]
 
 

@@ -7,6 +7,7 @@ import json
 import re
 import sqlite3
 import tarfile
+import tomllib
 from contextlib import closing
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from polishd.daemon.job.initial_estimates import journalled_estimates
 from polishd.daemon.journal.history import read_events, read_history, read_only
 from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME, Journal
 from polishd.daemon.journal.store import SCHEMA_VERSION, old_copy
+from polishd.daemon.queue.queue import Queue
+from polishd.daemon.queue.requests import require_unchanged
 from polishd.daemon.runtime.exit_record import last_ending
 from polishd.model.errors import ConfigError
 from polishd.plugins.interferometer.map_files import TakenMaps
@@ -130,6 +133,91 @@ def test_its_journal_is_converted_without_a_loss_and_kept(old: Path) -> None:
     assert arrays
     assert all((old / "state" / ARRAYS_NAME / f"{name}.npz").exists() for name in arrays)
     assert read_history(old / "state")[0].outcome == "in_tolerance"
+
+
+JOB_TEXT = """# a lens of the second batch
+[job]
+id = "lens-2"
+tolerance_nm = 1.5
+lookahead_s = 12.0
+
+[part]
+id = "L-2"
+rim = "free"
+nominal = "form.csv"
+
+[dwell]
+choose = "knee"
+
+[limits]
+pit_nm = 40.0
+
+[between.clean]
+person = true
+within_s = 600.0
+
+[memory]
+remember = false
+"""
+"""A job file of version 0.1 with keys that were renamed since, also a table and a key that names a file."""
+
+
+def queue_old_jobs(old: Path, **texts: str) -> None:
+    """Add waiting jobs to the old journal, as version 0.1 stored them; the first is under way."""
+    form = {"part.nominal": {"file": "form.csv", "sha256": hashlib.sha256(b"0,0\n1,0\n").hexdigest()}}
+    (old / "form.csv").write_text("0,0\n1,0\n")
+    with closing(sqlite3.connect(old / "state" / JOURNAL_NAME)) as journal, journal:
+        for place, (name, text) in enumerate(texts.items()):
+            files = json.dumps(form if "nominal" in text else {})
+            row = (place, name, "L-2", str(old / f"{name}.toml"), text, files, 1.0, None if place else 1.0)
+            journal.execute(
+                "INSERT INTO queue (place, name, part_id, path, content, files, added, begun) VALUES (?,?,?,?,?,?,?,?)",
+                row,
+            )
+
+
+def test_jobs_in_its_queue_get_the_new_names_and_keep_their_values_and_order(old: Path) -> None:
+    new_cell(old)
+    plain = '[job]\nid = "plain"  # no renamed key\n[part]\nid = "L-2"\n'
+    queue_old_jobs(old, running=JOB_TEXT, waiting=JOB_TEXT, plain=plain, torn="[job\n")
+    with Queue.at_rest(old / "state") as queue:
+        running, waiting, other, torn = queue.to_do()
+    assert [entry.state for entry in (running, waiting, other, torn)] == ["under way", "waiting", "waiting", "waiting"]
+    assert (other.content, torn.content) == (plain, "[job\n")
+    for entry in (running, waiting):
+        assert tomllib.loads(entry.content) == {
+            "job": {"id": "lens-2", "tolerance_nm": 1.5, "stream_ahead_s": 12.0},
+            "part": {"id": "L-2", "free_edge": True, "form": "form.csv"},
+            "dwell": {"objective": "knee"},
+            "limits": {"max_stall_removal_nm": 40.0},
+            "part_handling": {"clean": {"operator": True, "timeout_s": 600.0}},
+            "estimates": {"use_previous": False},
+        }
+        assert set(entry.files) == {"part.form"}
+    with closing(sqlite3.connect(old_copy(old / "state" / JOURNAL_NAME, 5))) as kept:
+        assert kept.execute("SELECT content FROM queue WHERE name = 'waiting'").fetchone() == (JOB_TEXT,)
+
+
+def test_a_job_of_its_queue_is_laid_over_the_new_cell(old: Path) -> None:
+    cell = load_config(new_cell(old))
+    text = JOB_TEXT.replace('nominal = "form.csv"\n', "").replace(
+        "[between.clean]\nperson = true\nwithin_s = 600.0\n", ""
+    )
+    queue_old_jobs(old, running='[job]\nid = "x"\n[part]\nid = "X"\n', waiting=text)
+    with Queue.at_rest(old / "state") as queue:
+        (entry,) = queue.waiting()
+    config = require_unchanged(cell, entry)
+    assert (config.job.stream_ahead_s, config.part.free_edge, config.limits.max_stall_removal_nm) == (12.0, True, 40.0)
+
+
+def test_a_job_with_an_old_key_that_is_added_again_is_refused_with_the_new_name(old: Path, polishd: Polishd) -> None:
+    path = old / "lens.toml"
+    path.write_text(JOB_TEXT)
+    said = polishd("queue", "add", new_cell(old), path)
+    assert said.code == 3
+    assert f"{path}:5: job.lookahead_s: was renamed: write job.stream_ahead_s" in said.err
+    assert f"{path}:16: limits.pit_nm: was renamed: write limits.max_stall_removal_nm" in said.err
+    assert f"{path}:18: between: was renamed: write part_handling" in said.err
 
 
 def test_the_other_files_of_its_state_folder_are_read(old: Path) -> None:

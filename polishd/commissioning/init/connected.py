@@ -126,7 +126,7 @@ factor = 1.0                         # 0.5 if its files give wavefronts in refle
 [registration]
 by = "none"                          # the center of the array is the part's; or aperture, fiducials, both
 
-# [artefact]                         # LOOK: what proves all this: bumps in no symmetric arrangement, as the tool
+# [artefact]                         # TODO: what proves all this: bumps in no symmetric arrangement, as the tool
 # name = "three bumps"               # sees them; here those of an example
 # bumps = [
 #   {{ x_mm = 20.0, y_mm = 12.0, sigma_x_mm = 9.0, sigma_y_mm = 5.0, height_nm = 120.0 }},
@@ -134,7 +134,7 @@ by = "none"                          # the center of the array is the part's; or
 #   {{ x_mm = -8.0, y_mm = -22.0, sigma_x_mm = 5.0, sigma_y_mm = 5.0, height_nm = -60.0 }},
 # ]
 """
-UNIT = "# unit_nm = 1.0                      # LOOK: its files name no unit; nanometres per unit\n"
+UNIT = "# unit_nm = 1.0                      # TODO: its files name no unit; nanometers per unit\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +212,7 @@ def profile_text(sample: SampleMap | None) -> str:
     if surface.instrument:
         says.append(f"# serials = [{toml(surface.instrument)}]  # a word of that: maps of any other are refused")
     if open_ := sorted(surface.unsaid & {"surface", "orientation"}):
-        says.append(f"# gives = {toml(open_)}  # LOOK: its files do not say that; make it true below, take # off")
+        says.append(f"# gives = {toml(open_)}  # TODO: its files do not say that; make it true below, take # off")
     name = toml(surface.instrument or "interferometer")
     unit = UNIT if "unit" in surface.unsaid else ""
     if sample.unit_nm is not None:

@@ -54,18 +54,18 @@ UNMEASURED = (
 )
 ASSUMED: Mapping[str, tuple[Any, str]] = {
     "cell.state_dir": ("state", ""),
-    "robot.type": ("robot_link", "what the robot's controller speaks"),
-    "robot.address": ("tcp://robot-controller:28500", "where the robot's controller listens"),
-    "actuator.type": ("voice_coil_modbus", "what the actuator speaks"),
-    "actuator.address": ("serial:/dev/ttyUSB0?baud=115200", "where the actuator is connected"),
+    "robot.type": ("robot_link", "link to the robot's controller"),
+    "robot.address": ("tcp://robot-controller:28500", "address of the robot's controller"),
+    "actuator.type": ("voice_coil_modbus", "protocol of the actuator"),
+    "actuator.address": ("serial:/dev/ttyUSB0?baud=115200", "port of the actuator"),
     "spindle.type": ("cia402_spindle", "protocol of the spindle's drive"),
-    "spindle.address": ("slcan:/dev/ttyACM0?bitrate=500000", "where the spindle's drive is connected"),
+    "spindle.address": ("slcan:/dev/ttyACM0?bitrate=500000", "port of the spindle's drive"),
     "spindle.eds": (EDS, "the simulated drive's. Replace it by the EDS file of your drive, from its maker"),
     "spindle.node": (SIMULATED_SPINDLE["node"], "CANopen node number of your drive"),
     "spindle.rpm_per_unit": (SIMULATED_SPINDLE["rpm_per_unit"], "unit of your drive's speeds, as it is parametrized"),
     "metrology.type": ("watched_folder", ""),
-    "metrology.folder": ("maps", "where the instrument leaves its maps"),
-    "part.edge_mm": (3.0, "what the drawing excludes"),
+    "metrology.folder": ("maps", "folder into which the instrument writes its maps"),
+    "part.edge_mm": (3.0, "edge zone that the drawing excludes"),
     "kinematics.type": ("hybrid", "the paper's robot, which is not yours"),
     "process.removal_model": ("hertz_preston", ""),
     "process.correction": ("none", UNMEASURED),
@@ -79,7 +79,7 @@ ASSUMED: Mapping[str, tuple[Any, str]] = {
     "machine.max_feed_mm_s": (50.0, DATA_SHEET),
     "machine.min_feed_mm_s": (0.5, DATA_SHEET),
     "machine.accel_mm_s2": (800.0, DATA_SHEET),
-    "job.tolerance_nm": (5.0, "what the drawing demands"),
+    "job.tolerance_nm": (5.0, "tolerance of the drawing"),
     "job.max_cycles": (4, ""),
 }
 """By dotted key: a value that a cell may begin with, and what has to be looked at about it; empty: nothing."""
@@ -326,7 +326,7 @@ def _assume_ranges(draft: CellDraft) -> None:
     low, high = np.floor(there.min(axis=0)) + room[0], np.ceil(there.max(axis=0)) + room[1]
     for at, axis in enumerate("xyz"):
         limits = [float(low[at]), float(high[at])]
-        draft.assume(f"machine.{axis}_mm", limits, "the part and some room: what the machine may use there")
+        draft.assume(f"machine.{axis}_mm", limits, "range of the part with a margin")
 
 
 # A new cell as text: each key with its meaning behind it, and above it what has to be looked at.
@@ -335,7 +335,7 @@ FILL_IN = "to be filled in, from the arm's data sheet; here that of another arm"
 WIDTH = 120
 COLUMN = 36
 """In which meanings begin, where a value leaves room."""
-LOOK = "# LOOK: "
+ASSUMED_MARK = "# TODO: assumed, check: "
 KINDS: Mapping[str, type[BaseModel]] = {"hybrid": HybridSection, "serial": SerialSection, "measured": MeasuredSection}
 ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 
@@ -343,8 +343,8 @@ ROW = "a_mm, alpha_deg, d_mm, theta_deg with joint {} at 0"
 def cell_text(draft: CellDraft) -> str:
     """The cell's file."""
     lines = [
-        "# A polishd cell, made by polishd init. Relative paths start from this file's folder. LOOK: the next key was",
-        "# assumed; mend it, and take that line away. All keys, with unit, default and range: docs/reference/cell.md",
+        "# A polishd cell, made by polishd init. Relative paths start from this file's folder. TODO: the next key is",
+        "# assumed: correct it, remove the TODO line. All keys with unit, default and range: docs/reference/cell.md",
         *(f"{name} = {toml(value)}" for name, value in draft.raw.items() if not _is_section(value)),
     ]
     places = {name: place for place, name in enumerate(ORDER)}
@@ -372,7 +372,7 @@ def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[s
         blank = f"{name}.{key}" in draft.blank
         why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
-            yield f"{LOOK}{why}"
+            yield f"{ASSUMED_MARK}{why}"
         lines = _written(key, value, in_words(docs.get(key, "")))
         yield from (f"# {line}" if blank and not line.startswith("#") else line for line in lines)
 

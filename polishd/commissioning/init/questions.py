@@ -143,7 +143,7 @@ def _of(key: str, model: type[BaseModel], default: Any = SKIP, *, text: bool = F
 
 def _of_robot(given: Mapping[str, Any]) -> Iterator[Question]:
     makers = tuple(MAKERS)
-    yield Question("?maker", "Its maker; other: you name its geometry and its driver.", OTHER, (*makers, OTHER))
+    yield Question("?maker", "Maker of the robot; other: you name geometry and driver.", OTHER, (*makers, OTHER))
     maker = None if given["?maker"] == OTHER else MAKERS[given["?maker"]]
     kinds = ("hybrid", *ARMS, "serial", "measured") if maker is None or not maker.arms else (*maker.arms, "serial")
     yield Question("?robot", "Its geometry; serial: an arm whose rows you fill in; measured: a table.", kinds[0], kinds)

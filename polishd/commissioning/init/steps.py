@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from polishd.commissioning.init.draft import LOOK
+from polishd.commissioning.init.draft import ASSUMED_MARK
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.instrument_profile import load_profile
 from polishd.model.errors import ConfigError, PolishdError
@@ -61,10 +61,10 @@ def lines(found: Sequence[SetupStep]) -> list[str]:
 def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     cell = _quoted(file)
     runs = _summaries(config.state_dir / "runs", *([config.run_dir] if config.run_dir else []))
-    look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(LOOK)]
+    look = [at for at, line in enumerate(toml_text(config.path).split("\n"), 1) if line.startswith(ASSUMED_MARK)]
     lines = ", ".join(map(str, look))
     found = f"{len(look)} values, below the lines {lines}" if look else "nothing is marked as assumed"
-    yield SetupStep("look at what was assumed", not look, found, f"$EDITOR {cell}")
+    yield SetupStep("check the assumed values", not look, found, f"$EDITOR {cell}")
     made = config.program_path.is_file()
     path = _quoted(file.parent / config.program.path)
     command = f"polishd program make raster --out {path} --cell {cell}"
@@ -77,7 +77,7 @@ def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     yield from _calibrate(config, cell)
     plans = [at.parent for at, of in _summaries(*_beside(config)).items() if _is_plan(of, config.job.id)]
     out = _quoted(file.parent / "plan")
-    planned = ", ".join(map(_quoted, plans)) or "no plan of this job lies beside the cell"
+    planned = ", ".join(map(_quoted, plans)) or "no plan of this job is beside the cell's file"
     yield SetupStep("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
     rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
     rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")

@@ -234,7 +234,7 @@ def _array(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
 # The verb ``polishd init``: answers, a cell in a folder, and what is still to be done.
 
 CELL = "cell.toml"
-LOOKED = "Looked at what is connected, and opened nothing:"
+LOOKED = "Connected devices (none was opened):"
 LEFT_OUT = "-"
 """Typed where an answer is left out."""
 NO_DIALOG = (
@@ -274,7 +274,8 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
             stderr.print(line, markup=False, highlight=False, soft_wrap=True)
     if answers is None:
         _require_new(folder, [ANSWERS], force=force)  # before anybody answers
-        stderr.print(f"Return takes what stands in [ ]; {LEFT_OUT} leaves it out.", markup=False, highlight=False)
+        help_text = f"Press Enter to accept the value in [ ]. Type {LEFT_OUT} to leave the key out."
+        stderr.print(help_text, markup=False, highlight=False)
         given = ask_questions(folder, connected, load_own(), _prompt)
         if not dry_run:
             _write(folder, {ANSWERS: given.source.text.encode()})  # whatever comes of them
@@ -402,7 +403,7 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
     by_tool = {"removal_model": "hertz_preston", "tif": None}  # of a measured spot only the place counts here
     config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
     try:
-        quiet = quiet_lines(config, PITCH_MM)
+        quiet = quiet_lines(config, PITCH_MM, shape=shape)
         options = MakeOptions(shape, Path(config.program.path), pitch_mm=quiet.pitch_mm, step_mm=PITCH_MM)
         if draft.maker is not None:
             options = replace(options, encoding=draft.maker.encoding, dwell_s=draft.maker.dwell_s)
@@ -458,4 +459,4 @@ def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) ->
         return
     for line in lines(todo):
         stdout.print(line, markup=False, highlight=False, soft_wrap=True)
-    stdout.print(f"how far that is: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)
+    stdout.print(f"show the steps again: polishd init --status {shlex.quote(str(cell))}", markup=False, soft_wrap=True)

@@ -36,7 +36,7 @@ from polishd.config.instrument_profile import ProfileFile
 from polishd.config.process_sections import MeasuredSection
 from polishd.config.simulator import Truth, require_simulated
 from polishd.config.simulator_cell import COARSEST_MM, FINEST_MM, MORE_ACCEL
-from polishd.config.toml_loader import loads_toml
+from polishd.config.toml_loader import did_you_mean, loads_toml
 from polishd.maps.commission import prove_profile
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError
@@ -191,10 +191,20 @@ class Rehearsal:
     """Differences between the simulated cell and the real one."""
 
 
+SIM_OPTIONS = ("--speed", "--seed", "--surface", "--only", "--device")
+"""Options of the simulator that ``polishd rehearse`` passes on."""
+
+
 def rehearsal_verb(cell: Path, out: Path | None, options: Sequence[str], *, write_only: bool) -> int:
     """Write the rehearsal of a cell and, unless ``write_only``, start its simulator; the exit code."""
     if any(option.partition("=")[0] in {"--state", "--artefact"} for option in options):
         raise ConfigError("--state and --artefact do not go with rehearse, which has its own folders; use --out")
+    names = [option.partition("=")[0] for option in options if option.startswith("--")]
+    if unknown := next((name for name in names if name not in SIM_OPTIONS), None):
+        raise ConfigError(
+            f"{unknown}: the simulator has no such option{did_you_mean(unknown, SIM_OPTIONS)} "
+            f"Use {', '.join(SIM_OPTIONS)}; nothing was written"
+        )
     own = _plant_options(options)
     if write_only and (others := [one for one in options if one not in own.given]):
         raise ConfigError(

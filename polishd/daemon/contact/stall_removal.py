@@ -11,6 +11,7 @@ import numpy as np
 from polishd.config.cell import CellConfig
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.time_limits import ActionTimeLimit, TimeLimits, late_s
+from polishd.daemon.contact.progress import MOST_OVERHEAD_S
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.program import Plan, Program
 from polishd.pipeline.recipe import Recipe
@@ -30,7 +31,10 @@ class StallRemoval:
     """Removal by a robot that stands in contact while it reports that it runs."""
 
     notice_s: float
-    """Longest from the standstill until contact is left: a block's expected time, the report's age, two looks."""
+    """Longest from the standstill until contact is left: a block's expected time, the report's age, two looks, and
+    ``first_s``."""
+    first_s: float
+    """Part of it for the overhead of a point, which a first pass does not know yet."""
     release_s: float
     """Longest from then until the force is off."""
     rate_nm_s: float
@@ -47,7 +51,8 @@ class StallRemoval:
 
     def row(self) -> dict[str, Any]:
         """Row of the time-limit table."""
-        what = f"standstill of the robot detected; force off after {self.notice_s + self.release_s:.2f} s, "
+        off_s = self.notice_s + self.release_s
+        what = f"standstill of the robot detected{self._first()}; force off after {off_s:.2f} s, "
         return ActionTimeLimit("", f"{what}removal {self.removal_nm:.0f} nm at most", round(self.notice_s, 3)).row()
 
     def warning(self, tolerance_nm: float | None) -> str:
@@ -56,10 +61,13 @@ class StallRemoval:
             return ""
         return (
             f"A robot that stands in contact removes up to {self.removal_nm:.0f} nm before the force is off, more than "
-            f"half of the tolerance of {tolerance_nm:g} nm: detection takes {self.notice_s:.2f} s, force off "
-            f"{self.release_s:g} s more, at {self.rate_nm_s:.0f} nm/s. Use shorter blocks, less force, a "
+            f"half of the tolerance of {tolerance_nm:g} nm: detection takes {self.notice_s:.2f} s{self._first()}, "
+            f"force off {self.release_s:g} s more, at {self.rate_nm_s:.0f} nm/s. Use shorter blocks, less force, a "
             "controller that reports faster or an actuator that releases faster."
         )
+
+    def _first(self) -> str:
+        return f" ({self.first_s:g} s of it only in a first pass, for the overhead of a point)"
 
 
 def stall_removal(
@@ -73,7 +81,9 @@ def stall_removal(
     moving_s = expected_s - program.time_s if program.encoding == "dwell" else expected_s
     block_s = float(moving_s.max(initial=0.0))
     extra_s = limits.no_progress_s if no_progress_s is None else no_progress_s
-    return StallRemoval(block_s + late_s(block_s) + extra_s, limits.actuator.release_s, peak_nm_s(recipe))
+    first_s = MOST_OVERHEAD_S
+    notice_s = block_s + first_s + late_s(block_s + first_s) + extra_s
+    return StallRemoval(notice_s, first_s, limits.actuator.release_s, peak_nm_s(recipe))
 
 
 def tolerance_nm(recipe: Recipe) -> float | None:

@@ -45,6 +45,7 @@ RULES = (
     ),
     ResumeRule(("roles.*",), False, "the estimates belong to this robot and tool"),
     ResumeRule(("dwell.*",), True, "choice of the next dwell; each dwell has its certificate"),
+    ResumeRule(("ripple.*",), True, "forecasts of the next passes"),
     ResumeRule(("touch_off*", "part_handling.*"), True, "part handling removes nothing"),
     ResumeRule((*LIMITS_OF_PROCESS, "tools.*.force_max_n"), True, "limits that end contact from now on"),
     ResumeRule(("limits.*", "machine.x_mm", "machine.y_mm", "machine.z_mm"), True, "limits for the next plans"),

@@ -30,7 +30,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.config.renamed_keys import RENAMED_TYPES, renamed_key
+from polishd.config.renamed_keys import present_key, present_text, present_value
 from polishd.daemon.journal.checksums import (
     CHECK_S,
     DISPENSABLE,
@@ -198,7 +198,7 @@ _EVENT_FIELDS = {"signal_wrong": ("leads_to", "action"), "touched_off": ("most_o
 
 
 def _with_new_names() -> str:
-    """Return the SQL that renames events, their fields, the keys of a job's terms, and results of jobs."""
+    """Return the SQL that renames events, their fields, the keys of a job's terms and of queued jobs, and results."""
     fields = "".join(
         f"UPDATE event SET data = json_remove(json_set(data, '$.{new}', json_extract(data, '$.{old}')), '$.{old}') "  # noqa: S608
         f"WHERE name = '{name}' AND json_type(data, '$.{old}') IS NOT NULL;\n"
@@ -207,6 +207,7 @@ def _with_new_names() -> str:
     return (
         f"{fields}UPDATE event SET name = CASE name {_CASES} ELSE name END;\n"  # noqa: S608
         "UPDATE job SET terms = renamed_terms(terms);\n"
+        "UPDATE queue SET content = present_text(content), files = renamed_terms(files) WHERE ended IS NULL;\n"
         "UPDATE job SET outcome = 'set aside' WHERE outcome = 'put aside';\n"
         "UPDATE queue SET verdict = 'set aside' WHERE verdict = 'put aside';\n"
     )
@@ -218,14 +219,7 @@ def _renamed_terms(terms: str) -> str:
     if not isinstance(found, dict):
         return terms
     for old in list(found):
-        root, dot, rest = old.partition(".")
-        dotted = f"{renamed_key(root) or root}{dot}{rest}"
-        new = (renamed_key(dotted) or dotted).partition(" ")[0]
-        key = new if "." in new or "." not in dotted else f"{dotted.rpartition('.')[0]}.{new}"
-        value = found.pop(old)
-        if key.endswith(".type"):
-            value = RENAMED_TYPES.get(value, value)
-        found[key] = value == "free" if old == "part.rim" else value
+        found[present_key(old)] = present_value(old, found.pop(old))
     if "plugins.load" in found:
         found["plugins.load"] = list(dict.fromkeys(RENAMED_PLUGINS.get(name, name) for name in found["plugins.load"]))
     return json.dumps(found, sort_keys=True)
@@ -269,6 +263,7 @@ def register_functions(connection: sqlite3.Connection) -> None:
     """Register the functions that the journal's tables and the steps between formats use."""
     register_checksum(connection)
     connection.create_function("renamed_terms", 1, _renamed_terms, deterministic=True)
+    connection.create_function("present_text", 1, present_text, deterministic=True)
 
 
 def open_file(path: Path, connect: Connect = connect) -> sqlite3.Connection:

@@ -228,13 +228,13 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
 
     async def _read_watch(self, link: RwsServices) -> None:
         """Read the background task's state. LinkError when it no longer follows the heartbeat."""
-        echo, tripped, _ = _pos(await link.value(self._tasks.watched("polishd_state")))
+        echo, tripped, limit_s = _pos(await link.value(self._tasks.watched("polishd_state")))
         now_s = time.monotonic()
         if not self.has_watch or int(echo) == self._beats:
             self._echoed_s = now_s
         if now_s - self._echoed_s > self._times.silence_s + self._beat_s:
             raise LinkError(f"{self.name}: the background task {self._tasks.watch} does not follow the heartbeat")
-        self._report = replace(self._report, tripped=bool(tripped))
+        self._report = replace(self._report, tripped=bool(tripped), limit_s=limit_s)
 
     async def _beat(self, link: RwsServices) -> None:
         if time.monotonic() - self._beaten_s < self._beat_s:
@@ -316,7 +316,7 @@ class AbbRobot(ProgramRobot[AbbProgramTracker]):
         """See Device. Ready: it would run a program as written. Safe: no program runs."""
         count = self._link.count + 1
         await self._link.until(lambda: self._link.count >= count)
-        report, why = self._link.last, self._obstacle()
+        report, why = self._link.last, self._unready()
         state = f"{report.mode}/{report.state}/{'running' if report.running else 'stopped'}"
         return DeviceStatus(ready=not why, safe=self._link.stands, state=state, detail=why)
 
@@ -340,7 +340,7 @@ class AbbRobot(ProgramRobot[AbbProgramTracker]):
             await services.write(self._tasks.watched("polishd_clear"), "1")
             await link.until(lambda: not link.last.tripped, CLEAR_S)
             await services.write(self._tasks.watched("polishd_clear"), "0")
-        if why := self._obstacle():
+        if why := self._unready():
             raise DeviceRefused(f"{self._name}: {why}. Correct it at the robot, then try again.")
 
     def _track(self, plan: Plan, blocks: int) -> AbbProgramTracker:
@@ -356,9 +356,17 @@ class AbbRobot(ProgramRobot[AbbProgramTracker]):
             await services.load(self._tasks.motion, self._file, len(content))
         except DeviceRefused as refusal:
             raise DeviceRefused(f"{refusal}{_place(str(refusal), module.block_of)}. Check the program.") from None
-        await services.write(self._tasks.watched("polishd_limit"), f"{self._times.watchdog_s:g}")
+        await self._arm(services)
         await self._link.follow_module(module.token)
-        tracker.file = module
+        tracker.file, tracker.limit_s = module, self._times.watchdog_s
+
+    async def _arm(self, services: RwsServices) -> None:
+        """Write the watchdog's limit, and see that the background task uses it. DeviceRefused if it does not."""
+        limit_s, link = self._times.watchdog_s, self._link
+        await services.write(self._tasks.watched("polishd_limit"), f"{limit_s:g}")
+        await link.until(lambda: not link.last.other_limit(limit_s), CLEAR_S)
+        if why := link.last.other_limit(limit_s):
+            raise DeviceRefused(f"{self._name}: {why}.")
 
     async def _run(self, tracker: AbbProgramTracker, wanted: IsWanted) -> None:
         del tracker  # one command starts and continues
@@ -393,6 +401,12 @@ class AbbRobot(ProgramRobot[AbbProgramTracker]):
         await self._pass_stops()
 
     def _obstacle(self) -> str:
+        tracker = self._tracker
+        is_armed = tracker is not None and tracker.file is not None
+        return self._unready() or (self._link.last.other_limit(self._times.watchdog_s) if is_armed else "")
+
+    def _unready(self) -> str:
+        """Return why the controller would not run a program, before the watchdog is armed for one."""
         report = self._link.last
         if why := report.obstacle():
             return why

@@ -22,6 +22,8 @@ STATES = {
     "emergencystop": "its emergency stop is pressed", "emergencystopreset": "its emergency stop waits for motors on",
     "sysfail": "it has a system failure", "init": "it starts up",
 }  # fmt: skip
+LIMIT_SHARE = 1e-3
+"""Share by which the background task's limit may differ from the number that was written."""
 LEAST_OVERRIDE = 0.01
 """Share of the programmed speed below which the robot stands still."""
 
@@ -45,6 +47,8 @@ class RwsReport:
     """Block before which the program stops next or stands."""
     tripped: bool = False
     """Its background task has stopped the motion."""
+    limit_s: float = 0.0
+    """Longest silence of polishd's heartbeat that the background task permits; 0: any."""
 
     def obstacle(self) -> str:
         """Return why it would not run a program; empty if it would."""
@@ -53,6 +57,16 @@ class RwsReport:
         if self.state != "motoron":
             return STATES.get(self.state, f"its state is {self.state!r}")
         return ""
+
+    def other_limit(self, limit_s: float) -> str:
+        """Return how the background task's limit differs from the one that was written; empty if it does not."""
+        if abs(self.limit_s - limit_s) <= LIMIT_SHARE * limit_s:
+            return ""
+        return (
+            f"its background task reports a limit of {self.limit_s:g} s (polishd_limit), "
+            f"and polishd wrote {limit_s:g} s (robot.watchdog_s). Install polishd_watch.mod as shipped, "
+            "and let no other client write polishd_limit"
+        )
 
 
 class AbbProgramTracker(ProgramTracker):
@@ -64,6 +78,8 @@ class AbbProgramTracker(ProgramTracker):
     def __init__(self, plan: Plan, blocks: int, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__(plan, blocks)
         self.file: RapidModule | None = None
+        self.limit_s = 0.0
+        """Limit that was written to the background task."""
         self.stays = False
         """Whether standstill was commanded, and is expected."""
         self._expected_s = np.zeros(blocks)
@@ -110,7 +126,7 @@ class AbbProgramTracker(ProgramTracker):
             self._starts(report)
         if report.tripped:
             self._fail("its background task stopped the motion: polishd's heartbeat did not arrive in time")
-        elif why := report.obstacle():
+        elif why := report.obstacle() or report.other_limit(self.limit_s):
             self._fail(why)
         elif report.speed < LEAST_OVERRIDE and not self.stays:
             self._held(f"the speed ratio is {100 * report.speed:.5g} %")

@@ -20,6 +20,7 @@ from polishd.drivers.transport.program_tracker import ProgramFile, ProgramTracke
 LONGEST_LINE = 4096
 
 _WHOLE = re.compile(r"-?\d{1,10}", re.ASCII)
+_CONSTANT = re.compile(r"#\w{1,24}", re.ASCII)
 _MOVE = re.compile(r"(S?)(?:LIN|PTP|CIRC)\s", re.IGNORECASE)
 _DWELL = re.compile(r"WAIT\s+SEC\s+([0-9.eE+-]+)", re.IGNORECASE)
 _WAIT = re.compile(r"WAIT\b", re.IGNORECASE)
@@ -209,10 +210,10 @@ class KukaSample:
     def of(cls, values: Mapping[str, str]) -> KukaSample:
         """Parse the values. ProtocolError if one has another type."""
         return cls(
-            values["$PRO_STATE1"],
+            _constant(values, "$PRO_STATE1"),
             values["$PRO_NAME1[]"].strip('"'),
-            values["$PRO_STATE0"],
-            values["$MODE_OP"],
+            _constant(values, "$PRO_STATE0"),
+            _constant(values, "$MODE_OP"),
             read_number(values, "$OV_PRO") / 100.0,
             _flag(values, "$PERI_RDY"),
             _flag(values, "$STOPMESS"),
@@ -264,6 +265,13 @@ def read_number(values: Mapping[str, str], name: str) -> int:
     if not _WHOLE.fullmatch(values[name]):
         raise ProtocolError(f"{name}: {values[name][:40]!r} is no whole number")
     return int(values[name])
+
+
+def _constant(values: Mapping[str, str], name: str) -> str:
+    """Return a constant of an enumeration, as ``#P_STOP``."""
+    if not _CONSTANT.fullmatch(values[name]):
+        raise ProtocolError(f"{name}: {values[name][:40]!r} is no constant of an enumeration")
+    return values[name]
 
 
 def _flag(values: Mapping[str, str], name: str) -> bool:

@@ -96,7 +96,10 @@ def decode_answer(frame: bytes) -> tuple[int, KvpAnswer]:
 
 
 def decode_values(names: Sequence[str], answer: KvpAnswer) -> dict[str, str]:
-    """Return the values of READ_MANY by name. DeviceRefused names the variables that the controller does not have."""
+    """Return the values of READ_MANY by name. DeviceRefused names the variables that the controller does not have.
+
+    ProtocolError for an answer that breaks off, or that reports an error and names no variable.
+    """
     data, at, found, missing = answer.payload, 1, dict[str, str](), []
     try:
         if data[0] != len(names):
@@ -117,6 +120,8 @@ def decode_values(names: Sequence[str], answer: KvpAnswer) -> dict[str, str]:
         raise DeviceRefused(
             f"the controller has no variable {', '.join(missing)}. Install polishd_watch (docs/protocols/kuka_kvp.md)."
         )
+    if not answer.succeeded:
+        raise ProtocolError(f"proxy: {answer.problem} in reading {len(names)} variables, and none is named")
     return found
 
 

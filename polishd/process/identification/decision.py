@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.estimates import Estimate, MachineEstimates
@@ -149,7 +149,7 @@ def _most_needed(found: IdentificationResult, left: list[EstimatedShift], certai
     certain together: ignored, they would move a compliance of -0.2 to +1.4.
     """
     own = [one for one in left if one.name in found.extensions]
-    chance = 2 * stats.norm.sf(certain)
+    chance = 2 * scipy.stats.norm.sf(certain)
     if not own or _log_chance_of_none(found, own) >= np.log(chance):
         return None
     return min(own, key=lambda one: _log_chance_of_none(found, [one]))
@@ -160,7 +160,7 @@ def _log_chance_of_none(found: IdentificationResult, these: list[EstimatedShift]
     applied = found.applied
     own = [applied.at(name) for one in these for name in one.parts]
     mean, covariance = applied.mean[own], applied.covariance[np.ix_(own, own)]
-    return float(stats.chi2.logsf(mean @ np.linalg.solve(covariance, mean), len(own)))
+    return float(scipy.stats.chi2.logsf(mean @ np.linalg.solve(covariance, mean), len(own)))
 
 
 def _or_else(found: IdentificationResult, name: str) -> str:

@@ -16,7 +16,7 @@ import scipy
 from polishd.model.estimates import Estimate, Finding, FindingLimits, PassIndicators, PassSeries
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.identification.removal_fit import FEWEST, MIN_SIGNAL_NM, regress_signals, remove_plane
-from polishd.process.removal.ripple import NO_RIPPLE, Ripple
+from polishd.process.removal.ripple import NO_RIPPLE, SIGMAS_OF_95, Ripple
 from polishd.process.removal.transfer_function import SpotTransferFunction
 
 # Forecast of the residual of a planned pass as a distribution, and the errors of earlier forecasts.
@@ -32,8 +32,6 @@ MODES = 12
 SURE_NOISE = 3.0
 """Least removal over noise to measure the unexplained share."""
 SAMPLES = 4000
-SIGMAS_OF_95 = 1.96
-"""Standard deviations of a normal distribution within which 95 % lie."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +49,12 @@ class Forecast:
     """Ripple that the pass adds; the interval contains what the map's samples show of it."""
     gain_nm: float | None = None
     """RMS on the process grid before the pass less the RMS that the plan leaves there; None: unknown."""
+    floor_nm: float | None = None
+    """Mean removal of the machine's shortest times; None: unknown."""
 
     def facts(self) -> dict[str, Any]:
         """Return it for JSON."""
-        return {**asdict(self), "ripple": {"lines": self.ripple.facts(), "radius_error": self.ripple.radius_error}}
+        return {**asdict(self), "ripple": {"lines": self.ripple.facts(), "errors": asdict(self.ripple.errors)}}
 
     @property
     def words(self) -> str:
@@ -169,8 +169,10 @@ def gain_too_small(expected: Forecast, limits: FindingLimits) -> Finding | None:
     adds_nm = expected.ripple.rms_nm
     if expected.gain_nm is not None and expected.gain_nm < adds_nm:
         gain = f"the next pass would gain {expected.gain_nm:.2f} nm RMS and add a ripple of {adds_nm:.2f} nm RMS"
+        floor = expected.floor_nm
+        floor_words = "" if floor is None else f"; the machine's shortest times remove {floor:.3g} nm in the mean"
         todo = "it is not made. Use a path with a smaller line distance, or another tolerance"
-        return Finding("stall", f"{gain} ({expected.ripple.words}): {todo}", "job")
+        return Finding("stall", f"{gain} ({expected.ripple.words}{floor_words}): {todo}", "job")
     if expected.better >= WORTH:
         return None
     chance = f"with a chance of {100 * expected.better:.0f} % that it is less than now"

@@ -13,7 +13,6 @@ from typing import Any, Self
 
 import numpy as np
 import scipy
-import scipy.ndimage
 from numpy.typing import NDArray
 
 from polishd.model.errors import MapError

@@ -22,6 +22,7 @@ from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.spectra import RadialPsd, radial_psd, split_bands
 from polishd.process.metrology.statistics import Removal, fit_terms, power, pv_rms, remove_terms, samples_inside, slope
 from polishd.process.metrology.zernike import points, triangle
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple, RippleLine
 
 RADIAL_DEGREE = 20
 """Highest power of r in the rotationally symmetric part."""
@@ -146,6 +147,11 @@ class _Surface:
         """Figures of ISO 10110-5."""
         return irregularity(self.height_nm, self.mask)
 
+    @cached_property
+    def psd(self) -> RadialPsd:
+        """Radially averaged density."""
+        return radial_psd(self.height_nm, self.mask, self.pitch_mm)
+
     def band(self, line: ToleranceLine) -> FloatArray:
         """(ny, nx) what has the line's periods."""
         edges = [edge for edge in (line.below_mm, line.above_mm) if edge]
@@ -160,8 +166,10 @@ def judge_lines(
     mask: BoolArray,
     pitch_mm: float,
     repeatability_nm: float | None = None,
+    *,
+    ripple: Ripple = NO_RIPPLE,
 ) -> tuple[LineResult, ...]:
-    """What was measured of each line.
+    """What was measured of each line, and what it is with the ripple that the map's samples average away.
 
     Args:
         lines: of the drawing.
@@ -169,6 +177,7 @@ def judge_lines(
         mask: (ny, nx) the clear aperture.
         pitch_mm: distance of samples.
         repeatability_nm: RMS of the instrument's noise in one map; None: not known.
+        ripple: forecast of the passes whose lines are on the surface, none of which is subtracted from the map.
 
     Raises:
         BadMap: a line counts what a map of this pitch cannot show, or the mask is empty.
@@ -178,8 +187,88 @@ def judge_lines(
     for line in lines:
         _require_seen(line, pitch_mm)
         uncertainty = repeatability_nm if line.figure in NORMS else None
-        found.append(LineResult(line.what, _figure(line, surface), line.limit, line.unit, uncertainty))
+        value = _figure(line, surface)
+        nominal, high = (_with_ripple(line, surface, value, ripple, high=high) for high in (False, True))
+        own = {"uncertainty": uncertainty, "with_ripple": nominal, "with_ripple_high": high}
+        found.append(LineResult(line.what, value, line.limit, line.unit, **own))
     return tuple(found)
+
+
+# Ripple of the path that a map does not show. Samples average over their distance: of a line they keep the square of
+# sinc(sample / period) of its mean square, and that share is in the measured figure already.
+
+
+def ripple_rms_nm(line: ToleranceLine, ripple: Ripple, sample_mm: float | None = None, *, high: bool = False) -> float:
+    """Return the RMS of a ripple in a tolerance line's periods: all of it, or what samples do not show of it."""
+    parts = _in_periods(line, ripple)
+    return float(np.sqrt(sum(_hidden(one, sample_mm, high=high) ** 2 for one in parts)))
+
+
+def _in_periods(line: ToleranceLine, ripple: Ripple) -> list[RippleLine]:
+    longest = np.inf if line.below_mm is None else line.below_mm
+    return [one for one in ripple.lines if line.above_mm < one.period_mm < longest]
+
+
+def _hidden(one: RippleLine, sample_mm: float | None, *, high: bool) -> float:
+    """RMS of a line that samples do not show, nm."""
+    rms = one.rms_high_nm if high else one.rms_nm
+    return rms if sample_mm is None else rms * float(np.sqrt(1.0 - one.kept(sample_mm)))
+
+
+def ripple_slope_urad(
+    line: ToleranceLine, ripple: Ripple, sample_mm: float | None = None, *, high: bool = False
+) -> float:
+    """Return the RMS slope of a ripple over a line's integration length: all of it, or what samples do not show."""
+    length = line.integration_mm or 0.0
+    parts = [
+        2 * np.pi / one.period_mm * abs(np.sinc(length / one.period_mm)) * _hidden(one, sample_mm, high=high)
+        for one in _in_periods(line, ripple)
+    ]
+    return float(np.linalg.norm(parts))  # nm / mm = urad
+
+
+def ripple_psd(line: ToleranceLine, ripple: Ripple, psd: RadialPsd, sample_mm: float, *, high: bool = False) -> float:
+    """Return a PSD line's factor where ripple is: its power, spread over its ring, beside the measured density.
+
+    A measured spectrum spreads a line over about two rings: the factor is up to a third too high.
+    """
+    density = psd.density_nm2_mm2.copy()
+    for one in _in_periods(line, ripple):
+        ring = int(np.argmin(np.abs(psd.frequency_per_mm - 1 / one.period_mm)))
+        density[ring] += _hidden(one, sample_mm, high=high) ** 2 / psd.area_per_mm2[ring]
+    return _above_line(line, RadialPsd(psd.frequency_per_mm, density, psd.area_per_mm2))
+
+
+def ripple_psd_alone(line: ToleranceLine, ripple: Ripple, side_mm: float) -> float:
+    """Return a PSD line's factor of a ripple alone, 95 % value, in rings as wide as a map of that side has."""
+    parts = [
+        one.rms_high_nm**2 * side_mm * one.period_mm / (2 * np.pi) / one.period_mm**line.exponent
+        for one in _in_periods(line, ripple)
+    ]
+    return max(parts, default=0.0)
+
+
+def _with_ripple(line: ToleranceLine, surface: _Surface, value: float, ripple: Ripple, *, high: bool) -> float | None:
+    """Return a figure with the ripple that the map does not show; None where that does not enter it.
+
+    RMS figures add in quadrature; PV and largest slope add the pattern's own, zero to peak on either side.
+    """
+    if not _in_periods(line, ripple):
+        return None
+    hidden_nm = ripple_rms_nm(line, ripple, surface.pitch_mm, high=high)
+    match line.figure:
+        case "rms" | "RMSt" | "RMSi" | "RMSa":
+            return float(np.hypot(value, hidden_nm))
+        case "pv" | "B":
+            return value + 2 * 2**0.5 * hidden_nm
+        case "slope_rms":
+            return float(np.hypot(value, ripple_slope_urad(line, ripple, surface.pitch_mm, high=high)))
+        case "slope_max":
+            return value + 2**0.5 * ripple_slope_urad(line, ripple, surface.pitch_mm, high=high)
+        case "psd":
+            return ripple_psd(line, ripple, surface.psd, surface.pitch_mm, high=high)
+        case _:
+            return None
 
 
 def in_line_band(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
@@ -188,10 +277,10 @@ def in_line_band(line: ToleranceLine, height_nm: FloatArray, mask: BoolArray, pi
 
 
 def tolerance_notes(judged: Iterable[LineResult]) -> tuple[str, ...]:
-    """Return notes on figures that are nearer to their limits than the instrument's repeatability."""
+    """Return notes on figures whose limit lies within the instrument's repeatability or the ripple's 95 % value."""
     return tuple(
-        f"{one}: it {'holds' if one.holds else 'does not hold'}, and the instrument's repeatability could have it "
-        "the other way"
+        f"{one}: it {'holds' if one.holds else 'does not hold'}, and the instrument's repeatability or the ripple's "
+        "uncertainty could have it the other way"
         for one in judged
         if one.unsure
     )
@@ -227,7 +316,7 @@ def _figure(line: ToleranceLine, surface: _Surface) -> float:
             found = slope(surface.band(line), surface.mask, surface.pitch_mm, line.integration_mm)
             return found.rms_urad if line.figure == "slope_rms" else found.max_urad
         case "psd":
-            return _above_line(line, radial_psd(surface.height_nm, surface.mask, surface.pitch_mm))
+            return _above_line(line, surface.psd)
         case "A" | "B" | "C":
             return float(getattr(surface.iso, f"{line.figure.lower()}_nm"))
         case _:

@@ -2,20 +2,20 @@
 
 The removal is summed on fine patches of the part, spread over the path, on a lattice of a twentieth of the spot's
 radius. In each patch the harmonics of the local line distance are fitted (period p / n across the lines; l / m along
-them where the tool rests on points), for the spot as modelled and for one that is wider or narrower by what its radius
-is uncertain by. The line distance is often chosen at a null of the spot's transfer function (Dunn and Walker 2008):
-there the nominal ripple is next to nothing, and a spot that is off by 3 % leaves several times as much.
+them where the tool rests on points), for the spot as modelled, for one that is wider or narrower by what its radius is
+uncertain by, and for a tool that trails its path. The line distance is often chosen at a null of the spot's transfer
+function (Dunn and Walker 2008): there the nominal ripple is next to nothing, and a spot that is off by 3 % leaves
+several times as much.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.checks import require_number
@@ -26,6 +26,10 @@ from polishd.process.removal.transfer_function import modulus_along
 
 RADIUS_ERROR = 0.03
 """Default of what 95 % of spots stay within, of their radius: a TIF that was measured once."""
+LINE_ERROR_MM = 0.02
+"""Default of what 95 % of lines lie within, across them: a robot that repeats to 0.02 mm."""
+LAG_MM = 0.05
+"""Default of the distance that the tool trails its path by, at most."""
 PATCHES = 40
 """Patches a path: the RMS is within 5 % of that with 400 on rasters of 100 mm whose removal varies by half."""
 FINER = 20
@@ -37,6 +41,10 @@ CELLS_A_PERIOD = 12
 PERIODS = 3.0
 """Half the side of a patch, in the longer of both."""
 HARMONICS = 3
+SAME_PERIOD = 0.02
+"""Lines of two passes whose periods differ by less, relative, are the same."""
+SIGMAS_OF_95 = 1.96
+"""Standard deviations of a normal distribution within which 95 % lie."""
 REGULAR = 0.2
 """Lines count as regular where their distances differ by less than this share of them."""
 LEAST_LINES = 4
@@ -55,7 +63,40 @@ LONG = 1.5
 SQUARES = 128
 """Squares across a modelled spot: their width must not show beside a patch's cells."""
 
+FREQUENCIES = 48
+"""Frequencies of the spectrum of lines that are out of place."""
+SHORTEST = 0.4
+"""Shortest period of that spectrum, over the spot's radius: a Hertz spot has 1 % of its mean square beyond."""
+
 Direction = Literal["across", "along", "every"]
+Cause = Literal["path", "line_error", "lag"]
+
+
+@dataclass(frozen=True, slots=True)
+class PathErrors:
+    """Limits within which 95 % of spots, lines and passes are."""
+
+    radius: float = RADIUS_ERROR
+    """Of the spot's radius, relative."""
+    line_mm: float = 0.0
+    """Of each line's place across it, independent of the other lines'."""
+    lag_mm: float = 0.0
+    """Distance along the path that the tool trails the programmed point by: friction, backlash, a soft bonnet.
+
+    A delay in time alone is none: the tool passes the same points as long. Lines that run to and fro are shifted
+    against each other by twice the distance."""
+
+    @property
+    def words(self) -> str:
+        """Return the limits as text."""
+        found = [f"a radius that is off by {100 * self.radius:g} %"] if self.radius else []
+        found += [f"lines out of place by {self.line_mm:g} mm"] if self.line_mm else []
+        found += [f"a lag of {self.lag_mm:g} mm"] if self.lag_mm else []
+        return " and ".join(found) or "no errors"
+
+
+MODELLED = PathErrors()
+"""Of a spot that was measured once, on a path without errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +109,28 @@ class RippleLine:
     amplitude_nm: float
     """Zero to peak, as modelled: the RMS over the patches."""
     rms_nm: float
-    """RMS over the clear aperture, as modelled."""
+    """RMS over the clear aperture, as modelled; 0 of what errors alone leave."""
     rms_high_nm: float
-    """With a spot whose radius is off by the stated share, the worse of both signs; at least ``rms_nm``."""
+    """95 % value: with the errors of `PathErrors`, the worse sign of the radius; at least ``rms_nm``."""
     on_grid: float
     """Share of its mean square that the process grid's cells keep."""
+    cause: Cause = "path"
+    """"path": lines and points as programmed; "line_error": lines out of place, a band about the period; "lag"."""
+
+    def is_same(self, other: RippleLine) -> bool:
+        """Return whether another pass leaves the same line."""
+        alike = abs(self.period_mm - other.period_mm) <= SAME_PERIOD * self.period_mm
+        return alike and (self.direction, self.cause) == (other.direction, other.cause)
+
+    def kept(self, sample_mm: float) -> float:
+        """Return the share of its mean square that samples which average over their distance keep."""
+        return float(np.sinc(sample_mm / self.period_mm)) ** 2
+
+
+def _summed(one: RippleLine, other: RippleLine, name: str) -> float:
+    """Sum of both lines: lines out of place are so anew in each pass, and add in quadrature."""
+    pair: tuple[float, float] = getattr(one, name), getattr(other, name)
+    return float(np.hypot(*pair)) if one.cause == "line_error" else sum(pair)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +138,7 @@ class Ripple:
     """Forecast of the ripple that one pass adds."""
 
     lines: tuple[RippleLine, ...] = ()
-    radius_error: float = RADIUS_ERROR
+    errors: PathErrors = MODELLED
 
     @property
     def rms_nm(self) -> float:
@@ -89,7 +147,7 @@ class Ripple:
 
     @property
     def rms_high_nm(self) -> float:
-        """RMS of all lines with a spot whose radius is off."""
+        """RMS of all lines, 95 % value."""
         return float(np.sqrt(sum(one.rms_high_nm**2 for one in self.lines)))
 
     @property
@@ -102,9 +160,23 @@ class Ripple:
         square = 0.0
         for one in self.lines:
             rms = one.rms_high_nm if high else one.rms_nm
-            kept = 1.0 if sample_mm is None else float(np.sinc(sample_mm / one.period_mm)) ** 2
+            kept = 1.0 if sample_mm is None else one.kept(sample_mm)
             square += max(kept * rms**2 - one.on_grid * one.rms_nm**2, 0.0)
         return float(np.sqrt(square))
+
+    def plus(self, later: Ripple) -> Ripple:
+        """Return the ripple of two passes: amplitudes of the same lines add up, as those of one path made twice do."""
+        lines = list(self.lines)
+        for one in later.lines:
+            known = (k for k, own in enumerate(lines) if own.is_same(one))
+            k = next(known, None)
+            if k is None:
+                lines.append(one)
+                continue
+            own = lines[k]
+            names = ("amplitude_nm", "rms_nm", "rms_high_nm")
+            lines[k] = replace(own, **{name: _summed(own, one, name) for name in names})
+        return Ripple(tuple(lines), self.errors if self.lines else later.errors)
 
     @property
     def words(self) -> str:
@@ -136,7 +208,7 @@ def ripple_of(
     grid: Grid,
     clear: BoolArray,
     *,
-    radius_error: float = RADIUS_ERROR,
+    errors: PathErrors = MODELLED,
     patches: int = PATCHES,
 ) -> Ripple:
     """Forecast the ripple of a dwell.
@@ -146,29 +218,37 @@ def ripple_of(
         time_s: (n,) dwell.
         grid: process grid; what it keeps of each harmonic is stated.
         clear: (ny, nx) clear aperture.
-        radius_error: share of its radius within which 95 % of spots are.
+        errors: what the 95 % value contains.
         patches: number of patches.
 
     Returns:
         The harmonics that have any amplitude; none where no block lies in the clear aperture.
 
     Raises:
-        ComputeError: an error of the radius that cannot be.
+        ComputeError: an error that cannot be.
     """
-    require_number("the error of the spot's radius", radius_error, "", above=-1e-12, below=0.5)
+    require_number("the error of the spot's radius", errors.radius, "", above=-1e-12, below=0.5)
+    for what, value in (("the error of a line's place", errors.line_mm), ("the lag", errors.lag_mm)):
+        require_number(what, value, "mm", above=-1e-12)
     frames = _frames(acting, time_s, grid, clear, patches)
     if not frames:
-        return Ripple(radius_error=radius_error)
-    factors = (1.0,) if radius_error == 0 else (1.0, 1.0 - radius_error, 1.0 + radius_error)
+        return Ripple(errors=errors)
+    factors = (1.0,) if errors.radius == 0 else (1.0, 1.0 - errors.radius, 1.0 + errors.radius)
     spots = [_widened(acting.spot, factor) for factor in factors]
-    found = [[_Patch.of(spot, acting.blocks, time_s, frame) for frame in frames] for spot in spots]
-    regular = [frame.pitch_mm is not None for frame in frames]
-    if sum(regular) * 2 >= len(regular):
-        some = [k for k, one in enumerate(regular) if one]
-        lines = _harmonics([frames[k] for k in some], [[of[k] for k in some] for of in found], grid.pitch_mm)
-    else:
-        lines = _broad(frames, found, grid.pitch_mm)
-    return Ripple(lines, radius_error)
+    shift_mm = errors.lag_mm * _travel(acting.blocks) if errors.lag_mm else None
+    found = [_patches(spots, acting.blocks, time_s, frame, shift_mm) for frame in frames]
+    regular = [k for k, frame in enumerate(frames) if frame.pitch_mm is not None]
+    some = regular if len(regular) * 2 >= len(frames) else None
+    chosen = list(range(len(frames))) if some is None else some
+    frames, found = [frames[k] for k in chosen], [found[k] for k in chosen]
+    own = [of[: len(spots)] for of in found]
+    lines = _broad(frames, own, grid.pitch_mm) if some is None else _harmonics(frames, own, grid.pitch_mm)
+    if shift_mm is not None:
+        lines += _lagging(frames, [(of[0], of[-1]) for of in found], grid.pitch_mm, regular=some is not None)
+    if errors.line_mm:
+        across_mm = 2 * float(np.sqrt(np.count_nonzero(clear) / np.pi)) * grid.pitch_mm
+        lines += _out_of_place(acting, frames, [of[0] for of in found], errors.line_mm, (across_mm, grid.pitch_mm))
+    return Ripple(lines, errors)
 
 
 def _widened(spot: Spot, factor: float) -> Spot:
@@ -176,9 +256,22 @@ def _widened(spot: Spot, factor: float) -> Spot:
     return fine if factor == 1.0 else WiderSpot(fine, factor)
 
 
+def _travel(blocks: PathBlocks) -> FloatArray:
+    """(n, 2) unit vector of the travel in each block: its own, or from the block before to the one after."""
+    own = blocks.end_mm - blocks.start_mm
+    middle = (blocks.start_mm + blocks.end_mm) / 2
+    around = np.gradient(middle, axis=0) if blocks.n > 1 else np.zeros_like(middle)
+    length = np.linalg.norm(own, axis=1)
+    way = np.where((length > RESTING * np.linalg.norm(around, axis=1))[:, None], own, around)
+    size = np.linalg.norm(way, axis=1, keepdims=True)
+    return np.divide(way, size, out=np.zeros_like(way), where=size > 0)
+
+
 class _Frame(NamedTuple):
     """A patch: where it is, and the lines in it."""
 
+    at: int
+    """Its block."""
     centre_mm: FloatArray
     """(2,)"""
     along: FloatArray
@@ -254,7 +347,7 @@ def _frame(acting: ActingSpots, tree: scipy.spatial.cKDTree, at: int, mean_mm: f
     half = PERIODS * longest
     cell = max(min(radius / FINER, shortest / CELLS_A_PERIOD), radius / FINEST)
     near = np.sort(np.array(tree.query_ball_point(middle[at], 2**0.5 * half + reach_mm), dtype=np.int64))
-    return _Frame(middle[at], along, pitch, gap if rests else None, half, cell, near)
+    return _Frame(at, middle[at], along, pitch, gap if rests else None, half, cell, near)
 
 
 def _line_distance(
@@ -293,48 +386,79 @@ class _Patch(NamedTuple):
     at_mm: FloatArray
     """(m,) of its columns, from its centre; rows fall from the largest."""
 
-    @classmethod
-    def of(cls, spot: Spot, blocks: PathBlocks, time_s: FloatArray, frame: _Frame) -> _Patch:
-        """Sum the removal of the blocks near by, spot by spot."""
-        near = blocks.part(frame.near).seen_from(frame.centre_mm)
-        bent, h, cells = near.bent, frame.cell_mm, frame.cells
-        wider = 1.0 if bent is None else float(bent[:, :2].max())
-        reach = reach_cells(spot, h, near.depth_ratio, near.azimuth_rad, wider)
-        size, edge = 2 * cells + 1, cells + reach
-        nodes = 2 * edge + 1
-        fast = scipy.fft.next_fast_len(nodes, real=True)
-        block, place, share = near.positions(spot)
-        (row, down), (column, side) = (spline(v) for v in (edge - place[:, 1] / h, place[:, 0] / h + edge))
-        weight = (share * (near.factor * time_s[frame.near])[block])[:, None, None] * down[:, :, None] * side[:, None]
-        rows, columns = row[:, None, None] + np.arange(WIDTH)[:, None], column[:, None, None] + np.arange(WIDTH)
-        held = (rows >= 0) & (rows < nodes) & (columns >= 0) & (columns < nodes)
-        node = np.where(held, rows * nodes + columns, nodes * nodes)  # what lies beyond is put behind the lattice
-        kinds, kind = _kinds(near)
-        total = np.zeros((fast, fast // 2 + 1), dtype=np.complex128)
-        for number, one in enumerate(kinds):
-            which = kind[block] == number
-            dwell = np.bincount(node[which].ravel(), weight[which].ravel(), nodes * nodes + 1)[:-1]
-            kernel = windows(spot, h, one.depth_ratio, one.azimuth_rad, reach, bent=one.bent)[0]
-            kernel = kernel.reshape(2 * reach + 1, -1)
-            total += scipy.fft.rfft2(dwell.reshape(nodes, nodes), (fast, fast)) * scipy.fft.rfft2(kernel, (fast, fast))
-        total /= damping(scipy.fft.fftfreq(fast))[:, None] * damping(scipy.fft.rfftfreq(fast))
-        middle = slice(2 * reach, 2 * reach + size)
-        height = np.asarray(scipy.fft.irfft2(total, (fast, fast))[middle, middle], dtype=np.float64)
-        at = np.asarray((np.arange(size) - cells) * h, dtype=np.float64)
-        return cls(height, at)
+
+def _patches(
+    spots: Sequence[Spot], blocks: PathBlocks, time_s: FloatArray, frame: _Frame, shift_mm: FloatArray | None
+) -> list[_Patch]:
+    """Sum the removal of the blocks near by: with each spot, and with the first one on a path shifted by (n, 2) back.
+
+    The dwell is laid on the lattice once for all spots.
+    """
+    near = blocks.part(frame.near).seen_from(frame.centre_mm)
+    bent, h, cells = near.bent, frame.cell_mm, frame.cells
+    wider = 1.0 if bent is None else float(bent[:, :2].max())
+    kinds, kind = _kinds(near)
+    reach = max(reach_cells(spot, h, kinds.depth_ratio, kinds.azimuth_rad, wider) for spot in spots)
+    size, edge = 2 * cells + 1, cells + reach + 1
+    fast = scipy.fft.next_fast_len(2 * edge + 1, real=True)
+    seconds = near.factor * time_s[frame.near]
+    dwell = _on_lattice(near, seconds, kind, spots[0], (h, edge))
+    at = np.asarray((np.arange(size) - cells) * h, dtype=np.float64)
+    undamped = 1 / (damping(scipy.fft.fftfreq(fast))[:, None] * damping(scipy.fft.rfftfreq(fast)))
+    middle = slice(2 * reach + 1, 2 * reach + 1 + size)
+    spectrum = scipy.fft.rfft2(dwell, (fast, fast))
+    kernels = []
+    for spot in spots:
+        window = windows(spot, h, kinds.depth_ratio, kinds.azimuth_rad, reach, bent=kinds.bent)
+        kernels.append(scipy.fft.rfft2(window.reshape(-1, 2 * reach + 1, 2 * reach + 1), (fast, fast)) * undamped)
+    pairs = [(spectrum, kernel) for kernel in kernels]
+    if shift_mm is not None:
+        back = shift_mm[frame.near]
+        trailing = replace(near, start_mm=near.start_mm - back, end_mm=near.end_mm - back)
+        late = scipy.fft.rfft2(_on_lattice(trailing, seconds, kind, spots[0], (h, edge)), (fast, fast))
+        pairs.append((late, kernels[0]))
+    total = [scipy.fft.irfft2(np.einsum("kij,kij->ij", *pair), (fast, fast))[middle, middle] for pair in pairs]
+    return [_Patch(np.asarray(height, dtype=np.float64), at) for height in total]
 
 
-def _kinds(blocks: PathBlocks) -> tuple[list[PathBlocks], NDArray[np.int64]]:
+def _on_lattice(
+    near: PathBlocks, seconds: FloatArray, kind: Indices, spot: Spot, lattice: tuple[float, int]
+) -> FloatArray:
+    """(kinds, nodes, nodes) seconds of the blocks on the nodes of a lattice, for each kind of spot.
+
+    ``lattice``: distance of its nodes, and their number from the centre to each side.
+    """
+    h, edge = lattice
+    nodes = 2 * edge + 1
+    block, place, share = near.positions(spot)
+    inside = (np.abs(place) < (edge - 1) * h).all(axis=1)  # the rest does not reach the patch
+    block, place, share = block[inside], place[inside], share[inside]
+    (row, down), (column, side) = (spline(v) for v in (edge - place[:, 1] / h, place[:, 0] / h + edge))
+    weight = (share * seconds[block])[:, None, None] * down[:, :, None] * side[:, None]
+    node = (kind[block] * nodes + row)[:, None, None] * nodes + column[:, None, None]
+    node = node + np.arange(WIDTH)[:, None] * nodes + np.arange(WIDTH)
+    count = int(kind.max(initial=0)) + 1
+    return np.bincount(node.ravel(), weight.ravel(), count * nodes * nodes).reshape(count, nodes, nodes)
+
+
+def _kinds(blocks: PathBlocks) -> tuple[PathBlocks, Indices]:
     """Blocks that represent others with nearly the same spot, and (n,) which of them represents each."""
     keys = [np.log(blocks.depth_ratio) / RATIO_STEP, blocks.azimuth_rad / AZIMUTH_STEP]
     keys += [] if blocks.bent is None else list(blocks.bent.T / BEND_STEP)
-    steps = np.round(np.column_stack(keys)).astype(np.int64)
-    _, first, kind = np.unique(steps, axis=0, return_index=True, return_inverse=True)
-    return [blocks.part(slice(k, k + 1)) for k in first], kind.ravel()
+    step = np.zeros(blocks.n, dtype=np.int64)
+    for key in keys:
+        whole = np.round(key).astype(np.int64)
+        step = step * (np.ptp(whole) + 1) + whole - whole.min()
+    _, first, kind = np.unique(step, return_index=True, return_inverse=True)
+    return blocks.part(first), kind.ravel()
+
+
+_Wave = tuple[tuple[Direction, int], FloatArray, float]
+"""Direction and number, unit vector, and period of a harmonic."""
 
 
 def _harmonics(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid_mm: float) -> tuple[RippleLine, ...]:
-    """The harmonics across the lines, and along them where the tool rests on points."""
+    """The harmonics across the lines, and along them where the tool rests on points; ``found``: by frame and spot."""
     amplitudes: dict[tuple[Direction, int], list[list[float]]] = {}
     periods: dict[tuple[Direction, int], list[float]] = {}
     shares: dict[tuple[Direction, int], list[float]] = {}
@@ -343,51 +467,51 @@ def _harmonics(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid
         for kind, way, period in waves:
             periods.setdefault(kind, []).append(period)
             shares.setdefault(kind, []).append(float(_kept(way / period, grid_mm) ** 2))
-        for number, patches in enumerate(found):
-            for (kind, _, _), value in zip(waves, _fitted(frame, patches[k], waves), strict=True):
-                amplitudes.setdefault(kind, [[] for _ in found])[number].append(value)
+        for (kind, _, _), values in zip(waves, _fitted(frame, found[k], waves), strict=True):
+            amplitudes.setdefault(kind, []).append(list(values))
     lines = []
     for kind, values in amplitudes.items():
-        rms = [float(np.sqrt(np.mean(np.square(one)) / 2)) for one in values]
+        rms = [float(v) for v in np.sqrt(np.mean(np.square(values), axis=0) / 2)]
         direction, period = kind[0], float(np.median(periods[kind]))
         share = float(np.mean(shares[kind]))
         lines.append(RippleLine(direction, period, rms[0] * 2**0.5, rms[0], max(rms), share))
     return tuple(lines)
 
 
-def _waves(frame: _Frame) -> list[tuple[tuple[Direction, int], FloatArray, float]]:
+def _waves(frame: _Frame) -> list[_Wave]:
     """(direction, number), unit vector and period of each harmonic of a patch."""
-    found: list[tuple[tuple[Direction, int], FloatArray, float]] = []
+    found: list[_Wave] = []
     for direction, way, period in (("across", frame.across, frame.pitch_mm), ("along", frame.along, frame.rest_mm)):
         if period is not None:
             found += [((direction, n), way, period / n) for n in range(1, HARMONICS + 1)]  # type: ignore[misc]
     return found
 
 
-def _fitted(
-    frame: _Frame, patch: _Patch, waves: Sequence[tuple[tuple[Direction, int], FloatArray, float]]
-) -> list[float]:
-    """Amplitude, zero to peak, nm, of each wave, beside a smooth surface.
+def _fitted(frame: _Frame, patches: Sequence[_Patch], waves: Sequence[_Wave]) -> FloatArray:
+    """(waves, patches) amplitude, zero to peak, nm, of each wave, beside a smooth surface.
 
     The fit is weighted towards the centre of the patch, in a strip across the lines that is short along them: there a
     curved line is still straight.
     """
-    x, y = np.meshgrid(patch.at_mm, patch.at_mm[::-1])
-    along, across = (x * w[0] + y * w[1] for w in (frame.along, frame.across))
+    at = patches[0].at_mm
     half = frame.half_mm
     pitch = frame.pitch_mm or half / PERIODS
     strip = min(max(pitch, 1.5 * (frame.rest_mm or 0.0)), half / 2)
+    x, y = np.meshgrid(at, at[::-1])
+    along, across = (x * w[0] + y * w[1] for w in (frame.along, frame.across))
     held = (np.abs(across) <= half) & (np.abs(along) <= strip)
-    s, v, height = along[held] / half, across[held] / half, patch.height_nm[held]
+    s, v = along[held] / half, across[held] / half
     where = np.column_stack([x[held], y[held]])
+    height = np.column_stack([patch.height_nm[held] for patch in patches])
     terms = [v**k for k in range(5)] + [s, s**2, s * v, s * v**2]
     terms += [part(2 * np.pi * (where @ way) / period) for _, way, period in waves for part in (np.cos, np.sin)]
-    weight = np.cos(np.pi * v / 2)
-    basis = np.column_stack(terms)
-    found = np.linalg.lstsq(basis * weight[:, None], (height - height.mean()) * weight, rcond=None)[0]
-    own = found[-2 * len(waves) :].reshape(-1, 2)
-    kept = [_kept(way / period, frame.cell_mm) for _, way, period in waves]
-    return [float(np.hypot(*pair) / share) for pair, share in zip(own, kept, strict=True)]
+    weight = np.cos(np.pi * v / 2)[:, None]
+    basis = np.column_stack(terms) * weight
+    inverse = scipy.linalg.cho_factor(basis.T @ basis)  # polynomials of few orders beside waves: well conditioned
+    found = scipy.linalg.cho_solve(inverse, basis.T @ ((height - height.mean(axis=0)) * weight))
+    own = found[-2 * len(waves) :].reshape(len(waves), 2, -1)
+    kept = np.array([_kept(way / period, frame.cell_mm) for _, way, period in waves])
+    return np.asarray(np.hypot(own[:, 0], own[:, 1]) / kept[:, None], dtype=np.float64)
 
 
 def _kept(frequency: FloatArray, cell_mm: float) -> float:
@@ -397,9 +521,9 @@ def _kept(frequency: FloatArray, cell_mm: float) -> float:
 
 def _broad(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid_mm: float) -> tuple[RippleLine, ...]:
     """Whatever has periods of up to LONG line distances, as one line at its mean frequency."""
-    squares = np.zeros((len(found), 3))
-    for number, patches in enumerate(found):
-        for frame, patch in zip(frames, patches, strict=True):
+    squares = np.zeros((len(found[0]), 3))
+    for frame, patches in zip(frames, found, strict=True):
+        for number, patch in enumerate(patches):
             squares[number] += _short(patch, frame.cell_mm, LONG * frame.half_mm / PERIODS, grid_mm)
     squares /= len(frames)
     if not squares[0, 0] > 0:
@@ -408,6 +532,79 @@ def _broad(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid_mm:
     period = float(squares[0, 0] / squares[0, 2])
     share = float(squares[0, 1] / squares[0, 0])
     return (RippleLine("every", period, float(rms[0] * 2**0.5), float(rms[0]), float(rms.max()), share),)
+
+
+def _lagging(
+    frames: Sequence[_Frame], found: Sequence[tuple[_Patch, _Patch]], grid_mm: float, *, regular: bool
+) -> tuple[RippleLine, ...]:
+    """What a tool that trails its path adds: the difference of both patches.
+
+    Lines to and fro alternate: odd multiples of half the lines' frequency. Without lines, all periods as of `_broad`.
+    """
+    squares, periods = [], []
+    for frame, (prompt, late) in zip(frames, found, strict=True):
+        change = _Patch(late.height_nm - prompt.height_nm, prompt.at_mm)
+        if regular and frame.pitch_mm is not None:
+            twice: list[_Wave] = [(("across", n), frame.across, 2 * frame.pitch_mm / n) for n in (1, 3)]
+            amplitude = _fitted(frame, [change], twice)[:, 0]
+            periods.append(2 * frame.pitch_mm)
+            squares.append((float(amplitude @ amplitude) / 2, _kept(frame.across / periods[-1], grid_mm) ** 2))
+        else:
+            own = _short(change, frame.cell_mm, LONG * frame.half_mm / PERIODS, grid_mm)
+            periods.append(float(own[0] / own[2]) if own[2] > 0 else frame.half_mm)
+            squares.append((float(own[0]), float(own[1] / own[0]) if own[0] > 0 else 0.0))
+    square, share = np.mean(squares, axis=0)
+    if not square > 0:
+        return ()
+    direction: Direction = "across" if regular else "every"
+    high = float(np.sqrt(square))
+    return (RippleLine(direction, float(np.median(periods)), 0.0, 0.0, high, float(share), "lag"),)
+
+
+def _out_of_place(
+    acting: ActingSpots,
+    frames: Sequence[_Frame],
+    found: Sequence[_Patch],
+    line_mm: float,
+    extent_mm: tuple[float, float],
+) -> tuple[RippleLine, ...]:
+    """What lines leave that are out of place independently of each other.
+
+    A line whose profile across is s, out of place by d, adds ``-d s'``. Lines at a distance p therefore add a mean
+    square of ``sigma^2 / p`` times the integral of ``(2 pi f |S(f)|)^2`` over all frequencies, S the spectrum of s.
+
+    Args:
+        acting: the spots.
+        frames: patches; where lines have no common distance, the mean one counts.
+        found: removal on them.
+        line_mm: 95 % limit of the place.
+        extent_mm: mean width of the clear aperture, and the process grid's pitch.
+    """
+    sigma_mm = line_mm / SIGMAS_OF_95
+    sums, fine = np.zeros(2), _widened(acting.spot, 1.0)
+    pitches, periods = [], []
+    for frame, patch in zip(frames, found, strict=True):
+        pitch = frame.pitch_mm or frame.half_mm / PERIODS
+        ratio, azimuth = (v[frame.at : frame.at + 1] for v in (acting.blocks.depth_ratio, acting.blocks.azimuth_rad))
+        squares = fine.patch(ratio, azimuth)[0]
+        half = float(fine.half_width_mm(ratio)[0])
+        frequency = (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES / (SHORTEST * half)
+        angle = float(np.arctan2(frame.across[1], frame.across[0]))
+        share = modulus_along(squares, 2 * half / len(squares), frequency, angle) / squares.sum()
+        step = 1 / (FREQUENCIES * SHORTEST * half)
+        power = 2 * step * (2 * np.pi * frequency * share * sigma_mm * float(patch.height_nm.mean())) ** 2 * pitch
+        kept = np.array([_kept(frame.across * f, extent_mm[1]) ** 2 for f in frequency])
+        sums += [power.sum(), (power * kept).sum()]
+        pitches.append(pitch)
+        periods.append(1 / float(np.interp(power.sum() / 2, np.cumsum(power), frequency + frequency[0])))
+    mean, on_grid = sums / len(frames)
+    if not mean > 0:
+        return ()
+    lines = max(extent_mm[0] / float(np.median(pitches)), 1.0)
+    scatter = float(np.sqrt(scipy.special.chdtri(lines, 0.05) / lines))  # 95 % of chi squared
+    high = scatter * float(np.sqrt(mean))
+    period = float(np.median(periods))  # half of the mean square is longer
+    return (RippleLine("across", period, 0.0, 0.0, high, float(on_grid / mean), "line_error"),)
 
 
 def _short(patch: _Patch, cell_mm: float, longest_mm: float, grid_mm: float) -> FloatArray:
@@ -498,7 +695,7 @@ def ripple_shares(
 
 def quiet_pitch(
     spot: Spot,
-    contact: ContactAt,
+    contacts: Sequence[ContactAt],
     at_most_mm: float,
     *,
     radius_error: float = RADIUS_ERROR,
@@ -506,10 +703,37 @@ def quiet_pitch(
 ) -> QuietPitch:
     """Find the line distance up to ``at_most_mm`` with the least ripple of a spot whose radius may be off.
 
-    Its path is at most ``more_path`` times as long as that with the largest distance. Arguments as of `ripple_shares`.
+    Its path is at most ``more_path`` times as long as that with the largest distance. Several contacts count in the
+    mean square: lines of a spiral run in all directions.
     """
     require_number("the largest line distance", at_most_mm, "mm", above=0.0)
     pitch = np.linspace(at_most_mm / more_path, at_most_mm, CANDIDATES)
-    share, high = ripple_shares(spot, contact, pitch, radius_error)
+    each = [ripple_shares(spot, contact, pitch, radius_error) for contact in contacts]
+    share, high = (np.sqrt(np.mean(np.square(of), axis=0)) for of in zip(*each, strict=True))
     best = int(np.argmin(high))
     return QuietPitch(float(pitch[best]), float(share[best]), float(high[best]), radius_error)
+
+
+LEAST_PITCH = 0.3
+"""Smallest line distance that is looked at for less ripple, as a share of the present one."""
+
+
+def quieter_pitch_mm(acting: ActingSpots, ripple: Ripple, share: float) -> float | None:
+    """Find the largest line distance whose ripple, 95 % value, is at most a share of a forecast one.
+
+    It counts with the spot at the middle gamma, across the lines of most blocks. None: there is none down to
+    LEAST_PITCH, or the forecast has no line distance.
+    """
+    now = next((one for one in ripple.lines if (one.direction, one.cause) == ("across", "path")), None)
+    if now is None or acting.blocks.n < LEAST_LINES:
+        return None
+    blocks = acting.blocks
+    travel = _travel(blocks)
+    double = np.arctan2(travel[:, 1], travel[:, 0]) * 2  # lines to and fro have one direction
+    along = float(np.angle(np.exp(1j * double).sum())) / 2
+    azimuth = float(np.angle(np.exp(1j * blocks.azimuth_rad).sum()))
+    contact = ContactAt(float(np.median(blocks.depth_ratio)), azimuth, along + np.pi / 2)
+    pitch = np.linspace(LEAST_PITCH, 1.0, CANDIDATES) * now.period_mm
+    _, high = ripple_shares(acting.spot, contact, pitch, ripple.errors.radius)
+    quiet = np.flatnonzero(high <= share * high[-1])
+    return float(pitch[quiet[-1]]) if quiet.size else None

@@ -75,25 +75,6 @@ def raster(
     return along_polyline(optic, _to_and_fro(y, left, right, ways) @ axes, step_mm)
 
 
-def quiet_step_mm(contact_radius_mm: float, at_most_mm: float) -> float:
-    """Return the largest distance of raster lines, up to ``at_most_mm``, that adds next to no ripple.
-
-    Lines that are a step apart leave a ripple whose depth, relative to the removal, is the spot's spectrum at the
-    frequency 1 / step. Along one axis a Hertzian spot removes as ``1 - (y / a)^2``, whose spectrum is
-    ``3 (sin u - u cos u) / u^3``, ``u = 2 pi a / step``: it vanishes where ``tan u = u``. At the paper's process
-    a step of 1 mm leaves 4 % (3.4 nm in 75 nm), one of 0.93 mm a fifth of that.
-
-    Args:
-        contact_radius_mm: a, of the contact that really acts (the robot's compliance makes it smaller).
-        at_most_mm: the step wanted.
-    """
-    k = np.arange(1, 200)
-    centre = (k + 0.5) * np.pi
-    nulls = centre - 1 / centre - 2 / (3 * centre**3)  # the roots of tan u = u, to 1e-3 from the first on
-    steps = 2 * np.pi * contact_radius_mm / nulls
-    return float(steps[steps <= at_most_mm].max(initial=0.0)) or at_most_mm
-
-
 def check_lengths(pitch_mm: float, step_mm: float, overrun_mm: float, landing_mm: float) -> None:
     """Raise ComputeError unless pitch and step are above 0, overrun and landing at least 0, and all finite."""
     for what, value in (("the pitch", pitch_mm), ("the step", step_mm)):

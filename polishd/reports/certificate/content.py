@@ -15,6 +15,7 @@ import numpy as np
 from polishd import __version__
 from polishd.config.instrument_profile import InstrumentProfile
 from polishd.model.tolerance import LineResult, line_results, part_holds, worst_line
+from polishd.pipeline.records import made_ripple
 from polishd.reports import wording
 from polishd.reports.certificate import model
 from polishd.reports.certificate.model import (
@@ -240,12 +241,17 @@ def _of_lines(judged: tuple[LineResult, ...]) -> Iterator[str]:
     for one in judged:
         if one.bound is not None:
             yield f"{one.what}: {one.bound_words}; judged by this bound."
+        elif one.unsure and one.uncertainty is None:
+            yield f"{one.what}: {one.ripple_words}. The limit lies within the ripple's uncertainty."
         elif one.unsure:
             sigma = f"{one.value:.3g} ± {one.uncertainty:.2g} {one.unit}"
             yield f"{one.what}: {sigma}. The limit lies within the uncertainty: either verdict is possible."
     plain = [one.what for one in judged if one.bound is None and one.uncertainty is None]
     if plain:
         yield f"Judged as measured, with unknown uncertainty: {', '.join(plain)}."
+    for one in judged:
+        if one.ripple_words:
+            yield f"{one.what}: {one.value:.3g} {one.unit} measured, {one.ripple_words}; judged with it."
     if any(one.bound is None and one.uncertainty is not None for one in judged):
         yield "± includes the repeatability of the instrument only, and is an upper limit."
 
@@ -266,6 +272,8 @@ LIBRARIES = ("numpy", "scipy", "matplotlib", "cryptography")
 REMOVED = {"piston": "piston", "tilt": "piston and tilt", "power": "piston, tilt and power"}
 DERIVED = ("report.html", "pictures")
 """Made from the other files of the run folder."""
+ISSUED = "certificate-"
+"""Begin of the names of certificates that were made in the run folder; ``certificate.json`` is of a dwell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,6 +318,7 @@ def certificate_content(
         aperture=_aperture(run, after),
         measurements=list(_measurements(run)),
         changes=_changes(run, before, after),
+        hidden_ripple=_hidden_ripple(run, after),
         beyond_reach=reach,
         before=None if before is None else _surface(before),
         after=None if after is None else _surface(after),
@@ -437,6 +446,29 @@ def _changes(
     ]
 
 
+def _hidden_ripple(run: CertificateRun, after: ReconstructedMap | None) -> list[model.HiddenRipple]:
+    """Return the forecast ripple of all passes by band of the last map, as far as its samples do not show it.
+
+    Below two samples nothing is shown in its band: what samples keep of it is seen at a longer period.
+    """
+    ripple = made_ripple([done["facts"] for done in run.rows.passes])
+    bands = [] if after is None else after.reported.answer["bands"] or []
+    if after is None or not ripple.lines:
+        return []
+    found = []
+    for band in bands:
+        longest, shortest = band["from_mm"] or math.inf, band["to_mm"] or 0.0
+        inside = [one for one in ripple.lines if shortest <= one.period_mm < longest]
+        hidden = [1.0 if one.period_mm < 2 * after.pitch_mm else 1.0 - one.kept(after.pitch_mm) for one in inside]
+        nominal, high = (
+            math.sqrt(sum(share * getattr(one, key) ** 2 for one, share in zip(inside, hidden, strict=True)))
+            for key in ("rms_nm", "rms_high_nm")
+        )
+        named = {key: band[key] for key in ("name", "from_mm", "to_mm")}
+        found.append(model.HiddenRipple(**named, rms_nm=nominal, rms_high_nm=high))
+    return found
+
+
 def _reach(
     run: CertificateRun, before: ReconstructedMap | None, after: ReconstructedMap | None
 ) -> tuple[model.CorrectableRange | None, Sequence[str]]:
@@ -500,7 +532,8 @@ def _versions(run: CertificateRun) -> dict[str, str]:
 def _files(run: CertificateRun) -> Iterator[model.File]:
     for path in sorted(run.path.rglob("*")):
         name = path.relative_to(run.path).as_posix()
-        if path.is_file() and not path.name.startswith(".") and name.partition("/")[0] not in DERIVED:
+        own = path.is_file() and not name.startswith(ISSUED)
+        if own and not path.name.startswith(".") and name.partition("/")[0] not in DERIVED:
             yield model.File(name=name, bytes=path.stat().st_size, sha256=sha256_of(path))
 
 

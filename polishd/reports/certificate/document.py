@@ -15,7 +15,13 @@ from polishd.rendering.map_plots import ConvergenceStep, Spectrum
 from polishd.rendering.plots import png, polishd_style
 from polishd.reports import pictures, wording
 from polishd.reports.certificate.content import CertificateDraft
-from polishd.reports.certificate.model import CertificateMeasurement, CertificatePass, Content, Judgement
+from polishd.reports.certificate.model import (
+    CertificateMeasurement,
+    CertificatePass,
+    Content,
+    HiddenRipple,
+    Judgement,
+)
 from polishd.reports.certificate.sources import ReconstructedMap
 from polishd.reports.map_report import editions, heights_picture, of_detail, of_form
 
@@ -95,7 +101,7 @@ def certificate_document(drawn: CertificateDraft, signed_by: str) -> ReportDocum
             _front(drawn, signed_by),
             _figures(drawn),
             *_surface(drawn),
-            _making(content),
+            _making(drawn),
             _proofs(content, signed_by),
         ]
     return ReportDocument(
@@ -169,13 +175,12 @@ def _requirement(content: Content) -> Iterator[DocumentSection]:
 
 
 def _figures(drawn: CertificateDraft) -> Chapter:
-    """Return the page with the figures, their uncertainty, the spectra, and the ripple of the last pass."""
+    """Return the page with the figures, the ripple that the map does not show, their uncertainty, and the spectra."""
     content = drawn.content
     parts = [
         _changes(content),
         DocumentSection("Uncertainty", notes=content.uncertainty.statements),
         _section("Power spectra", "spectra", pictures.SPECTRA_CAPTION, _spectra(drawn)),
-        *wording.ripple_section(drawn.run.folder.rows(), last=True),
     ]
     return Chapter("Figures", [], _filled(parts))
 
@@ -214,7 +219,20 @@ def _changes(content: Content) -> DocumentSection:
             "Beyond the reach of the tool: RMS of the periods that its spot cannot remove. An increase was left by the "
             "passes."
         )
-    return DocumentSection("Before and after, nm", [Table(("figure", "before", "after", "change"), rows)], notes)
+    tables = [Table(("figure", "before", "after", "change"), rows)]
+    if content.hidden_ripple:
+        head = ("ripple that the map does not show, RMS in nm", "forecast", "at most (95 %)")
+        tables.append(Table(head, [_hidden(one) for one in content.hidden_ripple]))
+        notes.append(
+            "The lines of the path leave a ripple that the samples of the last map average away. It is forecast from "
+            "the passes and not measured. The lines of the tolerance are judged with it."
+        )
+    return DocumentSection("Before and after, nm", tables, notes)
+
+
+def _hidden(one: HiddenRipple) -> tuple[str, str, str]:
+    ends = (f"below {one.from_mm:g} mm" if one.from_mm else "", f"above {one.to_mm:g} mm" if one.to_mm else "")
+    return f"{one.name}, {' and '.join(end for end in ends if end)}", f"{one.rms_nm:.3f}", f"{one.rms_high_nm:.3f}"
 
 
 def _percent(change: float | None) -> str:
@@ -241,11 +259,13 @@ def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
     yield Chapter("The surface after polishing", [], sections)
 
 
-def _making(content: Content) -> Chapter:
+def _making(drawn: CertificateDraft) -> Chapter:
+    content = drawn.content
     parts = [
         DocumentSection("From map to map", [_measurements(content)], _notes(content)),
         _anomalies(content),
         *map(_pass, content.passes),
+        *wording.ripple_section(drawn.run.folder.rows()),
     ]
     interrupted = sum(one.number is None for one in content.passes)
     passes = f"{len(content.passes) - interrupted}" + (f", and {interrupted} interrupted" if interrupted else "")

@@ -44,6 +44,16 @@ class PartFacts(Facts):
     )
 
 
+class HiddenRipple(Facts):
+    """Forecast ripple of all passes in a band, as far as the samples of the last map do not show it. Not measured."""
+
+    name: str
+    from_mm: float | None
+    to_mm: float | None
+    rms_nm: float = Field(description="with spot and path as modelled")
+    rms_high_nm: float = Field(description="95 % value: with the errors of spot, lines and lag in the cell's settings")
+
+
 class Judgement(Facts):
     """A line of the drawing, and the value of a measurement."""
 
@@ -54,6 +64,10 @@ class Judgement(Facts):
     uncertainty: float | None = Field(description="greatest change by the instrument's repeatability")
     bound: float | None = Field(description="95 % bound of the true value; null: judged as measured")
     guard: float | None
+    with_ripple: float | None = Field(
+        default=None, description="value with the forecast ripple that the map does not show; null: there is none"
+    )
+    with_ripple_high: float | None = Field(default=None, description="the same with the ripple's 95 % value")
     removed: str
     holds: bool
 
@@ -349,6 +363,9 @@ class Content(Facts):
     aperture: CertificateAperture
     measurements: list[CertificateMeasurement]
     changes: list[FigureChange]
+    hidden_ripple: list[HiddenRipple] = Field(
+        default=[], description="by band of the last map; empty: no pass has a forecast"
+    )
     beyond_reach: CorrectableRange | None
     before: CertificateSurface | None
     after: CertificateSurface | None

@@ -13,6 +13,7 @@ from polishd.config.simulator import Plant, SimConfig
 from polishd.model.outline import Circle
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.sim_backends.common import metropro
+from polishd.sim_backends.common.runtime import replace_file
 
 FIGURE_MM = (30.0, 160.0)
 MIDDLE_MM = (9.5, 30.0)
@@ -21,6 +22,24 @@ MIDDLE_SHARE = 0.15
 BUMP_SIGMA_MM = 4.5
 BEYOND_MM = 2.0
 """The map continues this far beyond straight sides: an edge of the map is not taken for an edge of the part."""
+
+
+@dataclass(slots=True)
+class FinePatch:
+    """A square of the part on finer samples, which show the lines of a path."""
+
+    grid: Grid
+    """About its own center."""
+    centre_mm: FloatArray
+    """(2,) in the part's x and y."""
+    height_nm: FloatArray
+    start_nm: FloatArray
+
+    def write_map(self, path: Path, part_id: str) -> None:
+        """Write its map by a perfect instrument as a MetroPro file, replaced whole."""
+        comment = f"patch about {self.centre_mm[0]:g}, {self.centre_mm[1]:g} mm"
+        content = metropro.pack(metropro.DatMap(self.height_nm, self.grid.pitch_mm, part=part_id, comment=comment))
+        replace_file(path, content)
 
 
 @dataclass(slots=True)
@@ -36,6 +55,7 @@ class TruePart:
     """The clear aperture, same shape."""
     origin_px: tuple[int, int] = (0, 0)
     start_nm: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    patch: FinePatch | None = None
 
     def __post_init__(self) -> None:
         """Keep the initial surface."""
@@ -48,6 +68,9 @@ class TruePart:
 
     def write(self, path: Path) -> None:
         """Save as an .npz file, replaced whole."""
+        fine = self.patch
+        patch = {} if fine is None else {f"patch_{name}": getattr(fine, name) for name in PATCH_ARRAYS}
+        patch |= {} if fine is None else {"patch_pitch_mm": np.float64(fine.grid.pitch_mm)}
         beside = path.with_name(f".{path.name}")
         with beside.open("wb") as file:
             np.savez(
@@ -58,6 +81,7 @@ class TruePart:
                 clear=self.clear,
                 pad=self.pad,
                 pitch_mm=self.grid.pitch_mm,
+                **patch,
             )
         beside.replace(path)
 
@@ -79,7 +103,24 @@ def make(config: Plant, seed: int) -> TruePart:
     part = TruePart(grid, np.zeros(grid.shape), pad, valid, clear)
     part.height_nm = _errors(part, config, np.random.default_rng([seed, 2]))
     part.start_nm = part.height_nm.copy()
+    part.patch = _patch(part, config)
     return part
+
+
+PATCH_ARRAYS = ("centre_mm", "height_nm", "start_nm")
+
+
+def _patch(part: TruePart, config: Plant) -> FinePatch | None:
+    """Return the square on finer samples, with the surface between the part's samples."""
+    if config.patch_mm is None:
+        return None
+    x, y, side = config.patch_mm
+    count = max(round(side / config.patch_pitch_mm), 1)
+    grid, whole = Grid(count, count, config.patch_pitch_mm), part.grid
+    rows = (whole.y_mm[0] - (grid.y_mm + y)) / whole.pitch_mm
+    columns = (grid.x_mm + x - whole.x_mm[0]) / whole.pitch_mm
+    height = ndimage.map_coordinates(part.height_nm, np.meshgrid(rows, columns, indexing="ij"), order=3, mode="nearest")
+    return FinePatch(grid, np.array([x, y]), height, height.copy())
 
 
 def from_map(path: Path, config: Plant) -> TruePart:
@@ -92,7 +133,9 @@ def from_map(path: Path, config: Plant) -> TruePart:
     outline = ndimage.binary_fill_holes(valid)
     inside = ndimage.distance_transform_edt(np.pad(outline, 1))[1:-1, 1:-1] * data.pitch_mm
     height = fill(np.pad(data.height_nm, pad, constant_values=np.nan))
-    return TruePart(grid, height, pad, valid, valid & (inside > config.edge_mm), data.origin_px)
+    part = TruePart(grid, height, pad, valid, valid & (inside > config.edge_mm), data.origin_px)
+    part.patch = _patch(part, config)
+    return part
 
 
 def swelling_nm(part: TruePart, config: SimConfig, since_s: float) -> FloatArray:

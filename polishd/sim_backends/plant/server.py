@@ -264,6 +264,8 @@ class PlantServer:
         rms, pv = self.world.part.stats()
         self.witness.add("plant", "measured", horizon_s, true_rms_nm=round(rms, 4), true_pv_nm=round(pv, 4))
         self._write(horizon_s)
+        if self.world.part.patch is not None:
+            self.world.part.patch.write_map(self.start.state / "patch.dat", self.seat)
         if "interferometer" in self.writers:
             self.writers["interferometer"].write(runtime.pack_rows(seen))
 

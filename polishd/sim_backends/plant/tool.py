@@ -261,6 +261,11 @@ class MeasuredStamp:
     _depth_mm: float = field(init=False)
     """Contact of that measurement."""
 
+    @property
+    def reach_mm(self) -> float:
+        """From its center to its farthest corner, as it was measured."""
+        return self._half_mm
+
     def __post_init__(self) -> None:
         """Size and depth."""
         half = math.hypot(*self.tif.rate_nm_s.shape) * self.tif.pitch_mm / 2.0
@@ -491,11 +496,25 @@ class Tool:
             dragged = self._dragged_mm(given.matrix, ContactPoints(touches.place_mm, axis, local), frames, force_n, rpm)
             centre = centre + np.linalg.solve(local.stretch, dragged[:, :2, None])[:, :, 0]
             depth = np.maximum(depth - off.eq_44 * dragged[:, 2], 0.0)
-        at = {"centre_mm": centre, "axis": axis, "depth_mm": depth, "stretch": turned, "skew": off.skew}
+        at = {"axis": axis, "depth_mm": depth, "stretch": turned, "rpm": rpm, "seconds": seconds, "radius_mm": radius}
+        self._wear(part.height_nm, part.grid, centre, at)
+        if part.patch is not None:
+            seen = centre - part.patch.centre_mm
+            largest_mm = math.sqrt(float((radius * depth).max(initial=0.0)))
+            reach = 2.0 * (largest_mm if self.stamp is None else self.stamp.reach_mm)
+            near = (np.abs(seen) < reach + part.patch.grid.pitch_mm * part.patch.grid.nx / 2).all(axis=1)
+            if near.any():
+                self._wear(part.patch.height_nm, part.patch.grid, seen[near], {key: of[near] for key, of in at.items()})
+
+    def _wear(self, height_nm: FloatArray, grid: Grid, centre_mm: FloatArray, at: dict[str, FloatArray]) -> None:
+        """Take the removal of n contacts off a surface, in place, by the measured removal where there is one."""
+        own, off = {"centre_mm": centre_mm, "skew": self.effects.skew}, self.effects
+        shared = {key: at[key] for key in ("axis", "depth_mm", "stretch")}
         if self.stamp is not None:
-            self.stamp.wear(part.height_nm, part.grid, turns=rpm * seconds * off.bonnet, **at)
+            self.stamp.wear(height_nm, grid, turns=at["rpm"] * at["seconds"] * off.bonnet, **shared, **own)
         else:
-            wear(part.height_nm, part.grid, self.process, rpm=rpm, seconds=seconds, radius_mm=radius, **at)
+            more = {key: at[key] for key in ("rpm", "seconds", "radius_mm")}
+            wear(height_nm, grid, self.process, **more, **shared, **own)
 
     def stiffness_n_per_mm(self, force_n: FloatArray, curvature_per_mm: FloatArray) -> FloatArray:
         """(n,) of the contact under forces (n,) on a part so curved: Hertz's dF/dd, 1.5 F over the depth."""

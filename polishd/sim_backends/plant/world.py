@@ -408,7 +408,7 @@ class World:
         if pit is None or rows[-1, WALL1] < pit.from_s:
             return
         middle = (rows[:, WALL0] + rows[:, WALL1]) / 2.0
-        planned = replace(self.part, height_nm=np.zeros_like(self.part.height_nm))
+        planned = replace(self.part, height_nm=np.zeros_like(self.part.height_nm), patch=None)
         self._tool.wear(
             planned,
             touches,

@@ -1,7 +1,7 @@
 """The arm: the tool's pose, frame by frame. Lengths are mm; the trajectory's time stretches with the speed slider.
 
-A line is a trapezoid of speed from rest to rest. A line that begins while another still decelerates (a blend) is added
-to it. Without a motion command the arm brakes.
+A line is a trapezoid of speed from rest to rest. A blend begins the next line as this one begins to decelerate, within
+the blend radius, and adds both: straight on the speed stays. Without a motion command the arm brakes.
 """
 
 from __future__ import annotations
@@ -135,6 +135,11 @@ class LinearMove:
         """Length of its path."""
         return self.length_mm - self._along()
 
+    def late_s(self, within_mm: float) -> float:
+        """Time since the deceleration that takes at most this length began; negative before."""
+        decelerates_s = math.sqrt(2.0 * within_mm / self.accel_mm_s2)
+        return self.done_s - self.takes_s + min(decelerates_s, self._top / self.accel_mm_s2)
+
     def share(self) -> float:
         """Length of the path that is done."""
         return min(self._along() / self.length_mm, 1.0) if self.length_mm else 1.0
@@ -191,18 +196,27 @@ class UrArm:
         """The pose as URScript writes it: m and a rotation vector."""
         return [*(part / 1000.0 for part in self.place.xyz_mm), *to_vector(self.place.turn)]
 
-    def line(self, end: ToolPose, accel_mm_s2: float, speed_mm_s: float) -> None:
-        """Go there; the rest of an earlier line is added."""
-        begin = self.place
-        if self._line is not None:
-            begin = self._line.end
-            self._running_out.append(self._line)
-        self._line, self._target = LinearMove(begin, end, accel_mm_s2, speed_mm_s), None
+    @property
+    def commanded(self) -> ToolPose:
+        """Where the present line ends, or the place."""
+        return self.place if self._line is None else self._line.end
 
-    def reached(self, within_mm: float = 0.0) -> bool:
-        """True if the line is done, except for at most this length."""
+    def line(self, end: ToolPose, accel_mm_s2: float, speed_mm_s: float, late_s: float = 0.0) -> None:
+        """Go there; the rest of an earlier line is added, from ``late_s`` ago: a blend loses no part of a frame."""
+        begin = self.commanded
+        if self._line is not None:
+            self._running_out.append(self._line)
+        else:
+            late_s = 0.0
+        self._line, self._target = LinearMove(begin, end, accel_mm_s2, speed_mm_s, late_s), None
+
+    def reached(self, within_mm: float = 0.0) -> float | None:
+        """Time since the line is done, or decelerates in at most this length, s; None before."""
         line = self._line
-        return line is None or (within_mm > 0.0 and line.left_mm <= within_mm)
+        if line is None:
+            return 0.0
+        late_s = line.late_s(within_mm) if within_mm > 0.0 else -1.0
+        return late_s if late_s >= 0.0 else None
 
     def aim(self, velocity: Triple, accel_mm_s2: float) -> None:
         """Change to that velocity, mm/s, from the present one."""

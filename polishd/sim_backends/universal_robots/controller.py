@@ -41,6 +41,8 @@ class Commands:
 
     machine: Controls
     _owed_s: float = 0.0
+    _late_s: float = 0.0
+    """Part of a frame by which the last blend began late."""
 
     def quick(self) -> dict[str, Callable[..., Any]]:
         """Return the functions that take no time."""
@@ -94,14 +96,16 @@ class Commands:
         with _Busy(self.machine):
             yield from self._overhead()
             if t > 0.0:
-                way = math.dist(end.xyz_mm, self.machine.arm.place.xyz_mm) / 1000.0
-                v = a * t / 2.0 - math.sqrt(max((a * t / 2.0) ** 2 - a * way, 0.0))
+                way = math.dist(end.xyz_mm, self.machine.arm.commanded.xyz_mm) / 1000.0
+                rests = r <= 0.0  # else the next move begins as this one decelerates
+                v = a * t / 2.0 - math.sqrt(max((a * t / 2.0) ** 2 - a * way, 0.0)) if rests else way / t
             top = min(v * 1000.0, self.machine.config.max_feed_mm_s)
             if top <= 0.0 or a <= 0.0:
                 raise ProgramError("speed and acceleration must be above 0", 0)
-            self.machine.arm.line(end, a * 1000.0, top)
-            while not self.machine.arm.reached(r * 1000.0):
+            self.machine.arm.line(end, a * 1000.0, top, self._late_s)
+            while (late_s := self.machine.arm.reached(r * 1000.0)) is None:
                 yield
+            self._late_s = late_s
 
     def _speedl(self, velocity: list[float], a: float, t: float = 0.0) -> Frames:
         x, y, z = (part * 1000.0 for part in velocity[:3])

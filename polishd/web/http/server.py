@@ -89,13 +89,14 @@ BODY_S = 5.0
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-        "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+        "font-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
     ),
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "x-frame-options": "DENY",
-    "cache-control": "no-store",
 }
+CACHING = {"cache-control": "no-store"}
+"""Of every answer that does not say otherwise, as the page's files do."""
 
 
 def hosts_of(web: WebSection) -> set[str]:
@@ -120,6 +121,8 @@ class RequestGuard:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers[name] = value
+                for name, value in CACHING.items():
+                    headers.setdefault(name, value)
             await send(message)
 
         headers = Headers(scope=scope)
@@ -201,8 +204,10 @@ log = logging.getLogger(__name__)
 
 LEAVE_S = 2
 """Time for which the process waits at its end for open streams."""
-NONE = ("none of that job", "no such map")
-"""Messages about missing resources."""
+
+
+class NoSuchResource(ConfigError):
+    """There is no such job, map, plan or file: the answer is 404."""
 
 
 def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> None:
@@ -251,8 +256,10 @@ async def answered(work: Awaitable[Any]) -> Response:
         found = await work
     except JournalDamage as error:
         return refusal(503, str(error))
+    except NoSuchResource as error:
+        return refusal(404, str(error))
     except ConfigError as error:
-        return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
+        return refusal(400, str(error))
     except PolishdError as error:
         return refusal(502, str(error))
     return found if isinstance(found, Response) else JsonAnswer(finite(found))

@@ -1,23 +1,19 @@
-// The page of a cell. What comes from elsewhere is put on it as text, never as markup.
+// The shell of the page: who is signed in, the stream of states, orders, alarms, and the view that the address names.
+//
+// A view is a module views/NAME.js that exports `mount(root, ctx)`, and optionally `styles`: paths of its style sheets.
+// `mount` returns { update(state)?, refresh()?, tick()?, unmount()? }: `update` at each state (twice a second), `refresh`
+// when something has happened, `tick` four times a second, also without a connection; all only while it is shown. `ctx` is described at its definition below.
+import { $, box, button, icon, made, put } from "./dom.js";
+import { clock } from "./format.js";
+import { sound } from "./sound.js";
 import { texts } from "./strings.js";
-import * as draw from "./draw.js";
 
-const OLD_S = 2.0, LOST_MS = 1200, KEPT = 240;
-const $ = (id) => document.getElementById(id);
-const known = { session: null, state: null, heard: 0, job: null, cycles: [], plan: null, map: null, alarms: [], lines: { force: [], speed: [] } };
+const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"], PANELS = ["approve"]; // panels have no tab
+const LOST_MS = 1200, SAID_MS = 15_000;
+const known = { session: null, state: null, heard: 0, cell: "", jobs: [], cycles: [], alarms: [], journal: [], heardAlarm: null };
 let stream = null;
 
-const put = (id, text) => { if ($(id).textContent !== String(text)) $(id).textContent = text; };
-function made(tag, text, kind) {
-  const one = document.createElement(tag);
-  if (text !== undefined) one.textContent = text;
-  if (kind) one.className = kind;
-  return one;
-}
 for (const one of document.querySelectorAll("[data-text]")) one.textContent = texts[one.dataset.text];
-for (const [value, text] of Object.entries(texts.kinds)) { const one = made("option", text); one.value = value; $("kind").append(one); }
-for (const one of document.querySelectorAll("canvas")) one.setAttribute("aria-label", texts.charts[one.id.replace("-line", "")] ?? texts.map);
-for (const text of texts.columns) { const one = made("th", text); one.scope = "col"; $("passes-head").append(one); }
 
 async function ask(method, path, body) {
   const headers = { "content-type": "application/json" };
@@ -28,45 +24,128 @@ async function ask(method, path, body) {
 }
 const got = async (path) => { const found = await ask("GET", path); return found.status === 200 ? found : null; };
 
+// what a view may use
+const ctx = {
+  ask, // (method, path, body) -> its answer with `status`
+  got, // (path) -> the answer, or null
+  session: () => known.session, // { name, role, csrf }
+  state: () => known.state, // the last state: { daemon, age_s, live, ending? }
+  link, // "up", "silent", "none" or "page" (no connection to the page's server)
+  heardMs: () => known.heard, // performance.now() of the last state
+  cell: () => known.cell, // name of the cell
+  job: () => known.jobs.at(-1)?.number ?? null, // number of the last job
+  jobs: () => known.jobs, // rows of /api/jobs
+  cycles: () => known.cycles, // rows of /api/jobs/JOB/cycles of the last job
+  alarms: () => known.alarms, // rows of /api/alarms
+  journal: () => known.journal, // the last events, newest first
+  lastOrder, // () -> the last order's event, or null
+  alarmText, // (row of /api/alarms) -> what it is, in words
+  mayOperate, // () -> whether the role may resume, approve, acknowledge and change the queue
+  order, // (name, path, body) -> the answer; shows what became of it
+  resume, // () asks, then resumes
+  confirm: async (title, lines, options) => (await confirmed(title, lines, options)) !== null,
+  confirmWithReason: (title, lines, options) => confirmed(title, lines, { ...options, reason: true }), // -> text, or null
+  texts,
+  go: (hash) => { location.hash = hash; },
+  args: () => new URLSearchParams(location.hash.split("?")[1] ?? ""), // of #NAME?key=value
+};
+
 // who is there
 function signedOut() {
   known.session = null;
-  if (stream) stream.close();
+  stream?.close();
   stream = null;
-  $("main").hidden = $("sign-out").hidden = $("lost").hidden = true;
+  leave();
+  sound.silence();
+  for (const id of ["main", "top", "tabs", "bar"]) $(id).hidden = true;
   $("sign-in").hidden = false;
-  put("who", "");
 }
 function signedIn(session) {
   known.session = session;
   $("sign-in").hidden = true;
-  $("main").hidden = $("sign-out").hidden = false;
+  for (const id of ["main", "top", "tabs"]) $(id).hidden = false;
   put("who", `${session.name} (${session.role})`);
   watch();
+  show();
+  route();
 }
 $("sign-in").addEventListener("submit", async (event) => {
   event.preventDefault();
+  sound.unlock();
   const said = await ask("POST", "/api/session", { token: $("token").value });
   $("token").value = "";
   put("sign-in-said", said.status === 200 ? "" : said.status === 429 ? texts.locked : texts.wrongToken);
   if (said.status === 200) signedIn(said);
 });
-$("sign-out").addEventListener("click", async () => { await ask("DELETE", "/api/session"); signedOut(); });
+$("sign-out").addEventListener("click", async () => { $("settings").hidePopover(); await ask("DELETE", "/api/session"); signedOut(); });
+
+// the view
+let view = null, viewName = "", entering = 0;
+function leave() {
+  entering += 1;
+  view?.unmount?.();
+  view = null;
+  viewName = "";
+  $("view").replaceChildren();
+}
+async function route(again = false) {
+  if (!known.session) return;
+  const name = location.hash.slice(1).split("?")[0] || "dashboard";
+  if (![...VIEWS, ...PANELS].includes(name)) { location.replace("#dashboard"); return; }
+  if (name === viewName && !again) { view?.refresh?.(); return; }
+  const moved = viewName !== "";
+  leave();
+  viewName = name;
+  for (const one of $("tabs").children) {
+    if (one.hash === `#${name}`) one.setAttribute("aria-current", "page"); else one.removeAttribute("aria-current");
+  }
+  const mine = entering, root = made("div", undefined, `view-${name}`);
+  let module;
+  try {
+    module = await import(`/views/${name}.js`);
+    await Promise.all((module.styles ?? []).map(styled));
+  } catch (error) {
+    console.error(error);
+    module = { mount: (at) => { at.append(made("p", texts.noView, "empty")); return {}; } };
+  }
+  if (mine !== entering) return;
+  $("view").replaceChildren(root);
+  view = module.mount(root, ctx) ?? {};
+  if (known.state) view.update?.(known.state);
+  view.refresh?.();
+  if (moved) { scrollTo(0, 0); if (!again) $("view").focus({ preventScroll: true }); }
+}
+function styled(href) {
+  if (document.querySelector(`link[href="${href}"]`)) return null;
+  return new Promise((done, failed) => {
+    const link = document.createElement("link");
+    Object.assign(link, { rel: "stylesheet", href, onload: done, onerror: failed });
+    document.head.append(link);
+  });
+}
+for (const name of VIEWS) {
+  const tab = box("a", "", icon(name), made("span", texts.tabs[name]));
+  tab.href = `#${name}`;
+  $("tabs").append(tab);
+}
+$("tabs").setAttribute("aria-label", "polishd");
+document.querySelector(".skip").addEventListener("click", (event) => { event.preventDefault(); $("view").focus(); });
+addEventListener("hashchange", () => route());
+addEventListener("polishd-theme", () => route(true)); // canvases take their colours anew
 
 // what comes
 function watch() {
-  if (stream) stream.close();
+  stream?.close();
   stream = new EventSource("/api/events");
   known.heard = performance.now();
   stream.addEventListener("state", (event) => {
     known.heard = performance.now();
     known.state = JSON.parse(event.data);
-    keepLines();
     show();
+    view?.update?.(known.state);
   });
   stream.addEventListener("happened", (event) => {
-    const { name } = JSON.parse(event.data);
-    if (name !== "pass_progressed") refresh();
+    if (JSON.parse(event.data).name !== "pass_progressed") refresh();
   });
   stream.addEventListener("error", () => { known.heard = -Infinity; show(); });
   stream.addEventListener("open", refresh);
@@ -75,81 +154,10 @@ function link() {
   if (performance.now() - known.heard > LOST_MS) return "page";
   return known.state ? known.state.daemon : "page";
 }
+function mayOperate() { return Boolean(known.session) && known.session.role !== "watch"; }
 setInterval(() => known.session && show(), 250);
 
-function keepLines() {
-  const readings = known.state.live?.readings ?? {};
-  const fresh = (one) => one && one.age_s < OLD_S;
-  const add = (name, value) => { const kept = known.lines[name]; kept.push([Date.now() / 1000, value]); if (kept.length > KEPT) kept.shift(); };
-  add("force", fresh(readings.force) ? readings.force.force_n : null);
-  add("speed", fresh(readings.speed) ? readings.speed.rpm : null);
-}
-
-// what is shown at once
-function show() {
-  const how = link(), live = known.state?.live, up = how === "up";
-  const passed = Math.max(0, (performance.now() - known.heard) / 1000);
-  const age = known.state?.age_s === null || known.state?.age_s === undefined ? null : known.state.age_s + (Number.isFinite(passed) ? passed : 0);
-  document.body.classList.toggle("stale", !up);
-  const lost = { page: texts.lostPage, none: texts.lostDaemon, silent: texts.silentDaemon }[how];
-  $("lost").hidden = up;
-  if (!up) put("lost", how === "none" && known.state.ending?.reason ? `${lost} (${known.state.ending.reason})` : lost);
-  put("state", live ? live.state : "");
-  put("age", texts.age(age));
-  buttons(how, live);
-  if (!live) return;
-  const phase = live.state === "polishing" ? live.phase : null;
-  put("does", live.approval ? texts.waits : (phase && texts.phase[phase]) || texts.does[live.state] || live.state);
-  put("why", live.leaving ? texts.leaving(live.leaving) : live.reason);
-  put("next", (phase && texts.soon[phase]) || live.next);
-  progress(live);
-  table(live, Number.isFinite(passed) ? passed : 1e9);
-  draw.line($("force-line"), texts.charts.force, known.lines.force);
-  draw.line($("speed-line"), texts.charts.speed, known.lines.speed);
-  if (known.map) draw.map($("map"), $("map-said").textContent, known.map, known.plan, up && live.pressing ? live.readings.robot?.executed ?? null : null);
-}
-function buttons(how, live) {
-  const may = known.session && known.session.role !== "watch";
-  const set = (id, on) => { if ($(id).disabled === on) $(id).disabled = !on; };
-  set("hold", how === "silent" || (how === "up" && live && live.state !== "held" && live.state !== "finished"));
-  set("stop", how === "silent" || (how === "up" && live && live.state !== "finished"));
-  set("resume", may && how === "up" && live && ["held", "changing"].includes(live.state));
-  set("approve", may && how === "up" && Boolean(live?.approval));
-  set("acknowledge", may && how === "up");
-}
-function progress(live) {
-  const total = known.plan?.block.at(-1), done = live.readings.robot?.executed;
-  const running = live.phase === "run" && total && done !== undefined;
-  $("done").hidden = !running;
-  if (running) $("done").value = Math.min(1, done / total);
-  put("done-said", `${texts.part} ${live.part}, ${texts.job} ${live.job}` + (live.cycle === null ? "" : `, ${texts.cycle} ${live.cycle}`)
-    + (running ? `, ${texts.block} ${done} / ${total}` : "") + `; ${live.pressing ? texts.touches : texts.off}`);
-}
-function table(live, passed) {
-  const { readings } = live, rows = [];
-  const add = (name, value, age) => rows.push([name, value, age === null || age === undefined ? null : age + passed]);
-  const { names } = texts;
-  const { force, speed, sensed, robot } = readings;
-  add(names.force, force ? `${force.force_n.toFixed(2)} N (${force.setpoint_n.toFixed(1)})` : texts.none, force?.age_s);
-  add(names.speed, speed ? `${speed.rpm.toFixed(0)} rpm` : texts.none, speed?.age_s);
-  if (sensed) add(names.sensed, `${sensed.force_n.toFixed(2)} N`, sensed.age_s);
-  add(names.robot, robot ? `${robot.state}, ${texts.block} ${robot.executed}` : texts.none, robot?.age_s);
-  if (robot) add(names.buffer, `${robot.buffer_s.toFixed(1)} s`, robot.age_s);
-  for (const [name, age] of Object.entries(live.ages_s ?? {})) add(texts.devices(name), "", age);
-  for (const [name, one] of Object.entries(live.signals ?? {})) add(name, one.wrong || one.text, 0);
-  for (const [name, one] of Object.entries(live.health ?? {})) {
-    const [said, unit] = texts.health[name] ?? [name, ""];
-    add(said, `${texts.figure(Number(one.value))} ${unit}${one.fits ? "" : `: ${one.advice}`}`, 0);
-  }
-  $("live").replaceChildren(...rows.map(([name, value, age]) => {
-    const row = made("tr", undefined, age === null || age > OLD_S ? "old" : "");
-    const head = made("th", name); head.scope = "row";
-    row.append(head, made("td", value), made("td", texts.age(age)));
-    return row;
-  }));
-}
-
-// what is read anew when something has happened
+// what is read again when something has happened
 let refreshing = false, again = false;
 async function refresh() {
   if (refreshing) { again = true; return; }
@@ -159,72 +167,149 @@ async function refresh() {
   } catch { known.heard = Math.min(known.heard, performance.now()); } finally { refreshing = false; }
 }
 async function readAll() {
-  const [state, jobs, alarms, queue, journal] = await Promise.all(["/api/state", "/api/jobs", "/api/alarms", "/api/queue", "/api/journal"].map(got));
-  if (state) { put("cell", state.cell); document.title = `${state.cell}: polishd`; }
-  if (alarms) showAlarms(alarms.alarms);
-  if (queue) list("queue", queue.jobs.map((one) => made("li", `${one.name} (${one.part_id}): ${one.state}${one.reason ? `: ${one.reason}` : ""}`)), texts.noQueue);
-  if (journal) list("journal", journal.events.slice(0, 40).map((one) => made("li", said(one))), texts.empty);
-  known.job = jobs?.jobs.at(-1)?.number ?? null;
-  if (known.job === null) return;
-  known.cycles = (await got(`/api/jobs/${known.job}/cycles`))?.cycles ?? [];
-  showPasses();
-  await readPictures();
-}
-const said = (one) => `${new Date(one.at_s * 1000).toLocaleTimeString()} ${one.name}: ${["order", "by", "state", "reason", "error", "what"].map((key) => one.data[key]).filter(Boolean).join("; ")}`;
-function list(id, items, empty) { $(id).replaceChildren(...(items.length ? items : [made("li", empty)])); }
-
-async function readPictures() {
-  const last = known.cycles.at(-1), planned = known.cycles.filter((one) => one.run).at(-1);
-  if (!last) return;
-  const kind = $("kind").value, cycle = kind === "before" ? known.cycles[0].cycle : kind === "measured" ? last.cycle : planned?.cycle;
-  const at = `/api/jobs/${known.job}/cycles`;
-  if (planned) {
-    known.plan = await got(`${at}/${planned.cycle}/plan`);
-    const proof = await got(`${at}/${planned.cycle}/certificate`);
-    if (proof) put("plan-said", `${proof.solver ?? ""} ${Number(proof.predicted_rms_nm).toFixed(2)} nm, ${(proof.dwell_total_s / 60).toFixed(1)} min`);
-  }
-  if (cycle !== undefined) known.map = await got(`${at}/${cycle}/map/${kind === "before" ? "measured" : kind}`);
-  if (known.map) put("map-said", `${texts.kinds[kind]}: ${texts.range(known.map.low_nm, known.map.high_nm)}; ${texts.tool}`);
-  if (known.plan) for (const [id, key] of [["dwell", "dwell_s"], ["compliance", "compliance_um_per_n"], ["gamma", "gamma"]]) {
-    draw.line($(id), texts.charts[id], known.plan[key].map((value, k) => [k, value]));
-  }
-  const psd = await got(`${at}/${last.cycle}/psd`);
-  if (psd) draw.line($("psd"), texts.charts.psd, psd.frequency_per_mm.map((f, k) => [f, psd.power_nm2_mm2[k]]), { log: true });
+  const [state, jobs, alarms, journal] = await Promise.all(["/api/state", "/api/jobs", "/api/alarms", "/api/journal"].map(got));
+  if (state) { known.cell = state.cell; put("cell", state.cell); }
+  if (jobs) known.jobs = jobs.jobs;
+  if (journal) known.journal = journal.events;
+  if (alarms) { known.alarms = alarms.alarms; soundNew(); }
+  const job = ctx.job();
+  if (job !== null) known.cycles = (await got(`/api/jobs/${job}/cycles`))?.cycles ?? known.cycles;
   show();
+  view?.refresh?.();
 }
-function showPasses() {
-  const figure = (value) => (value === null || value === undefined ? "" : Number(value).toFixed(2));
-  $("passes").replaceChildren(...known.cycles.map((one) => {
-    const row = made("tr"), { measured, run } = one;
-    for (const text of [one.cycle, figure(measured.rms_nm), figure(measured.pv_nm), figure(measured.lsf_rms_nm), figure(run?.predicted_rms_nm), run?.how ?? ""]) row.append(made("td", text));
-    return row;
-  }));
-  const marks = known.cycles.filter((one) => one.run?.predicted_rms_nm).map((one) => [one.cycle + 1, one.run.predicted_rms_nm]);
-  draw.line($("convergence"), texts.charts.convergence, known.cycles.map((one) => [one.cycle, one.measured.rms_nm]), { marks, dots: true });
+function lastOrder() { return known.journal.find((one) => one.name === "command_received") ?? null; }
+
+// what is shown on every view
+function show() {
+  const how = link(), live = known.state?.live, up = how === "up";
+  const passedS = Math.max(0, (performance.now() - known.heard) / 1000);
+  const age = known.state?.age_s ?? null;
+  document.body.classList.toggle("stale", !up);
+  $("lost").hidden = up;
+  if (!up) {
+    const lost = { page: texts.lostPage, none: texts.lostDaemon, silent: texts.silentDaemon }[how];
+    put("lost", how === "none" && known.state.ending?.reason ? `${lost} (${known.state.ending.reason})` : lost);
+  }
+  put("age", age === null ? texts.age(null) : texts.age(age + (Number.isFinite(passedS) ? passedS : 0)));
+  const needs = Boolean(live) && (live.state === "held" || Boolean(live.approval));
+  put("state", !live ? "" : live.approval ? texts.waitsForApproval : texts.states[live.state] ?? live.state);
+  $("state").className = `state${needs ? " attend" : ""}${live?.unsafe?.length ? " alarm" : ""}`;
+  $("state").dataset.state = live?.state ?? "";
+  const set = (id, on) => { if ($(id).disabled === on) $(id).disabled = !on; };
+  set("hold", how === "silent" || (up && Boolean(live) && !["held", "finished"].includes(live.state)));
+  set("stop", how === "silent" || (up && Boolean(live) && live.state !== "finished"));
+  const order = lastOrder();
+  put("ordered", order ? texts.lastOrder(texts.orders[order.data.order] ?? order.data.order, order.data.by || texts.byUnknown, clock(order.at_s)) : "");
+  showAlarms();
+  soundLost(how);
+  const marks = !up || known.alarms.length ? "\u26a0 " : "";
+  view?.tick?.();
+  const title = `${marks}${$("state").textContent || "polishd"} - ${known.cell || "polishd"}`;
+  if (document.title !== title) document.title = title;
 }
-function showAlarms(alarms) {
-  known.alarms = alarms;
-  list("alarms", alarms.map((one) => {
-    const item = made("li");
-    item.append(made("span", `${one.severity.toUpperCase()}${one.first ? ` (${texts.first})` : ""}: `, one.severity),
-      made("span", `${new Date(one.at_s * 1000).toLocaleTimeString()} ${one.name}: ${one.what}`), made("p", one.todo, "note"));
-    return item;
-  }), texts.noAlarm);
-  $("acknowledge").hidden = !alarms.length;
+function alarmText(one) { return texts.alarmTexts[one.name]?.(one.what) ?? (one.what || one.name.replaceAll("_", " ")); }
+let shownAlarms = "";
+function showAlarms() {
+  const worst = known.alarms.find((one) => one.severity === "alarm") ?? known.alarms[0];
+  const key = JSON.stringify([worst?.number, known.alarms.length, sound.sounding]);
+  $("bar").hidden = $("lost").hidden && !worst && !sound.sounding;
+  if (key === shownAlarms) return;
+  shownAlarms = key;
+  const line = $("alarm-line");
+  line.hidden = !worst && !sound.sounding;
+  line.className = `alarm-line sev-${worst?.severity ?? "warning"}`;
+  const what = worst ? `${alarmText(worst)}${texts.moreAlarms(known.alarms.length - 1)}` : "";
+  line.replaceChildren(icon("alarm"), made("span", what, "what"),
+    ...(sound.sounding ? [button(texts.silence, "", () => { sound.silence(); show(); })] : []),
+    ...(worst ? [button(texts.show, "", () => ctx.go("dashboard"))] : []));
 }
-$("kind").addEventListener("change", () => readPictures());
+function soundNew() {
+  const newest = known.alarms.reduce((most, one) => Math.max(most, one.number), 0);
+  const fresh = known.heardAlarm === null ? known.alarms : known.alarms.filter((one) => one.number > known.heardAlarm);
+  known.heardAlarm = Math.max(known.heardAlarm ?? 0, newest);
+  if (fresh.length) sound.start(fresh.some((one) => one.severity === "alarm") ? "alarm" : "warning");
+  else if (!known.alarms.length && link() === "up") sound.silence();
+}
+let wasUp = false;
+function soundLost(how) {
+  if (how === "up") wasUp = true;
+  else if (wasUp) { wasUp = false; sound.start("alarm"); }
+}
 
 // orders
-async function order(name, path, body) {
-  put("said", `${name}: ${texts.sent}`);
-  try {
-    const answer = await ask("POST", path, body);
-    put("said", `${name}: ${answer.ok === false ? `${texts.refused}: ${answer.error}` : answer.obeyed === false ? texts.notYet : texts.obeyed}`);
-  } catch { put("said", `${name}: ${texts.lostPage}`); }
-  refresh();
+let saidTimer = null;
+function say(text) {
+  put("said", text);
+  clearTimeout(saidTimer);
+  saidTimer = setTimeout(() => put("said", ""), SAID_MS);
 }
-for (const id of ["hold", "stop", "resume"]) $(id).addEventListener("click", () => order(texts[id], `/api/orders/${id}`, { reason: $("reason").value }));
-$("approve").addEventListener("click", () => order(texts.approve, "/api/approve", { program_sha256: known.state.live.approval }));
-$("acknowledge").addEventListener("click", () => order(texts.acknowledge, "/api/alarms/acknowledge", { alarms: known.alarms.map((one) => one.number) }));
+async function order(name, path, body) {
+  say(`${name}: ${texts.sent}`);
+  let answer = null;
+  try {
+    answer = await ask("POST", path, body);
+    say(`${name}: ${answer.ok === false ? `${texts.refused}: ${answer.error}` : answer.obeyed === false ? texts.notYet : texts.obeyed}`);
+  } catch { say(`${name}: ${texts.lostPage}`); }
+  refresh();
+  return answer;
+}
+// Hold is one tap: it is safe, and Resume undoes it. Stop holds at the same tap, and then asks about the part that
+// cannot be undone, the end of the run: no question delays leaving the part, and no slip ends a night's work.
+$("hold").addEventListener("click", () => order(texts.hold, "/api/orders/hold", { reason: "" }));
+$("stop").addEventListener("click", async () => {
+  const held = known.state?.live?.state === "held";
+  if (!held) order(texts.hold, "/api/orders/hold", { reason: texts.stop });
+  const [title, ...lines] = held ? texts.stopHeld : texts.stopAsk;
+  const reason = await confirmed(title, lines, { yes: texts.stopYes, no: held ? texts.cancel : texts.stopNo, danger: true, reason: true });
+  if (reason !== null) order(texts.stop, "/api/orders/stop", { reason });
+});
+async function resume() {
+  const [title, ...lines] = texts.resumeAsk;
+  const reason = await confirmed(title, lines, { yes: texts.resume, reason: true });
+  if (reason !== null) await order(texts.resume, "/api/orders/resume", { reason });
+}
+
+// A question before an order: null, or the reason ("" where none was given or asked for). Escape is no.
+function confirmed(title, lines, { yes = title, no = texts.cancel, danger = false, reason = false } = {}) {
+  const dialog = $("confirm");
+  if (dialog.open) return Promise.resolve(null);
+  put("confirm-h", title);
+  $("confirm-lines").replaceChildren(...lines.map((line) => (line instanceof Node ? line : made("p", line))));
+  put("confirm-yes", yes);
+  put("confirm-no", no);
+  $("confirm-yes").className = danger ? "danger" : "primary";
+  $("reason").hidden = $("reason-label").hidden = !reason;
+  $("reason").value = "";
+  dialog.returnValue = "";
+  dialog.showModal();
+  $("confirm-yes").focus();
+  return new Promise((done) => {
+    dialog.addEventListener("close", () => done(dialog.returnValue === "yes" ? $("reason").value : null), { once: true });
+  });
+}
+// Enter in the reason field confirms; without this the form would take its first button, which is "no".
+$("reason").addEventListener("keydown", (event) => { if (event.key === "Enter") { event.preventDefault(); $("confirm").close("yes"); } });
+
+// settings
+function choices(id, options, chosen, choose) {
+  const draw = () => $(id).replaceChildren(...Object.entries(options).map(([value, text]) => {
+    const one = button(text, "", () => { choose(value); draw(); $(id).querySelector("[aria-pressed=true]").focus(); });
+    one.setAttribute("aria-pressed", String(chosen() === value));
+    return one;
+  }));
+  draw();
+  return draw;
+}
+choices("theme", texts.themes, () => window.polishdTheme.choice, (value) => { window.polishdTheme.choice = value; });
+const drawSound = choices("sound", texts.sounds, () => (sound.on ? "on" : "off"), (value) => { sound.on = value === "on"; soundIcon(); });
+$("sound-test").addEventListener("click", async () => put("sound-said", (await sound.test()) ? texts.soundPlayed : texts.soundBlocked));
+function soundIcon() {
+  $("sound-icon").setAttribute("href", sound.on ? "#i-sound" : "#i-quiet");
+  put("sound-name", sound.on ? texts.soundOn : texts.soundOff);
+  $("sound-button").title = $("sound-name").textContent;
+}
+$("sound-button").addEventListener("click", () => { sound.on = !sound.on; soundIcon(); drawSound(); if (sound.on) sound.test(); say($("sound-name").textContent); });
+soundIcon();
+for (const kind of ["pointerdown", "keydown"]) addEventListener(kind, () => sound.unlock(), { once: true });
 
 ask("GET", "/api/session").then((session) => (session.status === 200 ? signedIn(session) : signedOut()));

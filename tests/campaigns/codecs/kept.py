@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from tests.campaigns import beside
 from tests.campaigns.beside import Row
-from tests.campaigns.codecs import controllers
-from tests.campaigns.codecs.controllers import MAKERS, read_for_ever
+from tests.campaigns.codecs.controllers import MAKERS, Make, read_for_ever
 from tests.campaigns.codecs.nasty import BAD, Talk, require_said
 from tests.campaigns.codecs.talks import TALKS, campaign
 from tests.system.sim_rig import ROOT
@@ -30,11 +27,8 @@ HEADER = """\
 KINDS = ("broken", "doubled", "late")
 TOLD = (*KINDS, "taken", "refused", "values", "left_out")
 """What a seed adds to the line of its driver; where a library hides the wire, nothing comes twice or late."""
-COMMON = (
-    "polishd/drivers/transport",
-    *(f"tests/campaigns/codecs/{name}.py" for name in ("nasty", "virtual")),
-)
-"""What each line depends on."""
+COMMON = ("polishd/drivers/transport", "tests/campaigns/codecs")
+"""Folders that each line depends on."""
 
 
 @dataclass(frozen=True)
@@ -60,23 +54,16 @@ def _of_talk(make: type[Talk], patch: pytest.MonkeyPatch, bad: int, seed: int) -
     return dict(zip(TOLD, [*told, outcomes["value"], counts["not to be told"]], strict=True))
 
 
-def _of_variables(make: controllers.Make, patch: pytest.MonkeyPatch, bad: int, seed: int) -> Row:
+def _of_variables(make: Make, patch: pytest.MonkeyPatch, bad: int, seed: int) -> Row:
     server, variables = make(patch, seed)
     outcomes = asyncio.run(read_for_ever(variables, server, bad))
     told = [server.counts["broken"], None, None, outcomes["taken"], outcomes["refused"], outcomes["value"], 0]
     return dict(zip(TOLD, told, strict=True))
 
 
-def _module(of: type | ModuleType) -> str:
-    return str(Path(inspect.getfile(of)).relative_to(ROOT))
-
-
 DRIVERS = {
-    **{make.name: Driver(partial(_of_talk, make), (f"polishd/drivers/{make.driver}", _module(make))) for make in TALKS},
-    **{
-        name: Driver(partial(_of_variables, make), ("polishd/drivers/plc_robot", _module(controllers)))
-        for name, make in MAKERS.items()
-    },
+    **{make.name: Driver(partial(_of_talk, make), (f"polishd/drivers/{make.driver}",)) for make in TALKS},
+    **{name: Driver(partial(_of_variables, make), ("polishd/drivers/plc_robot",)) for name, make in MAKERS.items()},
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import pickle
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.util.files import write_atomic
+from tests.campaigns import beside
 from tests.campaigns.crash.attacks import ATTACKS_KNOWN
 from tests.campaigns.crash.daemon_recording import recorded_daemon
 from tests.campaigns.crash.kills import Count
@@ -23,7 +23,7 @@ from tests.campaigns.crash.model import BROKEN, Checked
 from tests.campaigns.crash.recording import ROOT, Op
 from tests.campaigns.crash.states import KEY_BYTES, Tried
 
-PROVED = ("polishd/daemon", "polishd/util/files.py")
+PROVED = ("polishd/daemon", "polishd/util")
 """What the figures are of: where it changes, they begin anew."""
 SAID = {
     "lost": "acknowledged, and lost",
@@ -42,12 +42,8 @@ EXAMPLES = 20
 
 
 def proved() -> str:
-    """A hash of the sources."""
-    content = hashlib.sha256()
-    for name in PROVED:
-        for path in sorted((ROOT / name).rglob("*.py")) or [ROOT / name]:
-            content.update(path.read_bytes())
-    return content.hexdigest()[:16]
+    """Return the hash of these sources."""
+    return beside.sources(PROVED)
 
 
 class Figures:

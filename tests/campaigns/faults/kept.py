@@ -18,7 +18,6 @@ from tests.system.sim_rig import ROOT
 DATA = ROOT / "docs" / "data"
 CASES = [(name, fault) for name, link in LINKS.items() for fault in link.faults]
 LOSES = [name for name, link in LINKS.items() if link.loses()]
-OWN = "tests/campaigns/faults/losses.py"
 EXAMPLES = 5
 """Of losses that went wrong, kept in words."""
 
@@ -27,12 +26,6 @@ EXAMPLES = 5
 def of_case(link: str) -> str:
     """The hash of what a case on that link depends on, as it is now."""
     return beside.sources(LINKS[link].parts())
-
-
-@cache
-def of_loss(link: str) -> str:
-    """The same of its losses."""
-    return beside.sources((*LINKS[link].parts(), OWN))
 
 
 class Kept:
@@ -70,12 +63,12 @@ class Kept:
 
     def lost(self, link: str) -> int:
         """Losses of that link that are counted, of these sources."""
-        return sum(count(row) for row in self.losses() if row["link"] == link and row["of"] == of_loss(link))
+        return sum(count(row) for row in self.losses() if row["link"] == link and row["of"] == of_case(link))
 
     def add_loss(self, loss: Loss) -> None:
         """To those of its link; once these are as many as those of other sources, the others go."""
         with self._lock:
-            rows, of = self.losses(), of_loss(loss.link)
+            rows, of = self.losses(), of_case(loss.link)
             mine = next((row for row in rows if (row["link"], row["of"]) == (loss.link, of)), None)
             if mine is None:
                 mine = {"link": loss.link, "limit_s": loss.limit_s, "load": 0.0, "cells": 0, "date": "", "of": of}

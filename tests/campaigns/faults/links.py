@@ -62,10 +62,9 @@ QUICK: Sections = {"actuator": {"land_s": 0.5}, "spindle": {"spin_s": 0.5}, "int
 COMMON = (
     "polishd/daemon",
     "polishd/model",
-    "polishd/interfaces.py",
     "polishd/drivers/transport",
-    "polishd/sim_backends/common/faults.py",
-    "tests/campaigns/faults/judge.py",
+    "polishd/sim_backends/common",
+    "tests/campaigns/faults",
 )
 """What each case depends on."""
 

@@ -71,14 +71,14 @@ def test_what_was_never_measured_comes_first_and_then_what_is_of_other_sources(
 def test_losses_add_up_and_take_the_place_of_older_ones_once_they_are_as_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keeping, "of_loss", lambda link: "before")
+    monkeypatch.setattr(keeping, "of_case", lambda link: "before")
     kept = Kept(tmp_path)
     kept.add_loss(LOSS)
     kept.add_loss(replace(LOSS, how="unplug", detection_s=None, wrong=["nobody noticed"]))
     monkeypatch.undo()
     assert Kept(tmp_path).lost("RTDE") == 0
     kept.add_loss(LOSS)
-    assert [row["of"] for row in kept.losses()] == ["before", keeping.of_loss("RTDE")]
+    assert [row["of"] for row in kept.losses()] == ["before", keeping.of_case("RTDE")]
     assert "| RTDE | unplugged | 1 | 1 never |" in text(kept)
     assert "**1 wrong: nobody noticed**" in text(kept)
     kept.add_loss(replace(LOSS, detection_s=0.2, force_off_s=0.04))

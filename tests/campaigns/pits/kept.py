@@ -26,10 +26,9 @@ COMMON = (
     "polishd/daemon",
     "polishd/model",
     "polishd/drivers/transport",
-    "polishd/sim_backends/common/faults.py",
+    "polishd/sim_backends/common",
     "polishd/sim_backends/plant",
-    "tests/campaigns/pits/cases.py",
-    "tests/campaigns/pits/judge.py",
+    "tests/campaigns/pits",
 )
 """Sources that each case depends on."""
 

@@ -1,4 +1,7 @@
-"""``make rehearsals``: every example cell with a robot is rehearsed, and its part must reach its tolerance."""
+"""``make rehearsals``: every example cell with a robot is rehearsed, and its part must reach its tolerance.
+
+Each result is kept in docs/data, and the table in docs/reference/results.md is written from it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from polishd.model.errors import PolishdError
+from tests.campaigns.rehearsals.kept import Kept, write
 from tests.campaigns.rehearsals.rehearse import cells, line, measure
 
 
@@ -18,18 +22,21 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     parse = argparse.ArgumentParser(prog="make rehearsals", description=__doc__)
     parse.add_argument("--cell", action="append", choices=cells(), help="these alone")
+    parse.add_argument("--left", action="store_true", help="those that were not rehearsed with these sources")
     parse.add_argument("--json", action="store_true", help="a JSON object a row")
     return parse
 
 
-def tried(name: str, *, as_json: bool) -> int:
-    """1 where the part is not in tolerance: the folder then stays."""
+def tried(kept: Kept, name: str, *, as_json: bool) -> int:
+    """Keep the result. 1 where the part is not in tolerance: the folder then stays."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-rehearsals-"))
     try:
         finding = measure(name, folder)
     except (AssertionError, PolishdError) as error:
         print(f"{name}: no rehearsal; see {folder}\n{error}", file=sys.stderr, flush=True)
         return 1
+    kept.add(finding)
+    write(kept)
     print(json.dumps(asdict(finding)) if as_json else line(finding), flush=True)
     if finding.is_accepted:
         shutil.rmtree(folder)
@@ -40,10 +47,11 @@ def tried(name: str, *, as_json: bool) -> int:
 
 def main() -> int:
     """1 where a part is not in tolerance."""
-    options = parser().parse_args()
+    options, kept = parser().parse_args(), Kept()
+    names = options.cell or (kept.left() if options.left else cells())
     if not options.json:
         print(line(), flush=True)
-    return int(sum(tried(name, as_json=options.json) for name in options.cell or cells()) > 0)
+    return int(sum(tried(kept, name, as_json=options.json) for name in names) > 0)
 
 
 if __name__ == "__main__":

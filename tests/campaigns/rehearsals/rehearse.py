@@ -38,6 +38,8 @@ class Finding:
     """RMS of the simulated part at the end, as only the plant knows it."""
     duration_s: float
     reason: str
+    tolerance_nm: float | None = None
+    """Of the job, RMS; None: its tolerance is not an RMS alone."""
 
     @property
     def is_accepted(self) -> bool:
@@ -86,6 +88,7 @@ def finding(name: str, files: DemoFiles, config: CellConfig) -> Finding:
         maps[-1]["true_rms_nm"] if maps else None,
         sum(found["phase_times_s"].values()),
         str(found["reason"]),
+        config.job.tolerance_nm,
     )
 
 

@@ -1,18 +1,22 @@
-"""Which example cells are rehearsed, how a row reads, and one of the rehearsals."""
+"""Which example cells are rehearsed, how a row reads and is kept, and one of the rehearsals."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tests.campaigns import beside
+from tests.campaigns.rehearsals.kept import BEGIN, END, PAGE, Kept, text
 from tests.campaigns.rehearsals.rehearse import Finding, cells, line, measure
 
 FOUND = Finding("abb_cell.toml", "abb_rws", "rapid", "in_tolerance", 2, 94.3, 8.91, 8.8, 310.2, "")
 
 
 def test_every_example_with_a_robot_is_rehearsed() -> None:
-    assert {"abb_cell.toml", "kuka_cell.toml", "fanuc_rmi/cell.toml", "cell.toml", "two_robots.toml"} <= cells().keys()
+    robots = ("abb_cell", "kuka_cell", "fanuc_rmi/cell", "universal_robots/cell", "yaskawa/cell", "staubli/cell")
+    assert {f"{name}.toml" for name in (*robots, "cell", "two_robots")} <= cells().keys()
     assert "sim.toml" not in cells()
 
 
@@ -24,6 +28,25 @@ def test_a_row_has_what_was_measured_and_why_a_part_is_not_accepted() -> None:
     assert line(failed).split()[-6:] == ["-", "-", "-", "1", "LinkError:", "silent"]
     assert FOUND.is_accepted
     assert not failed.is_accepted
+
+
+def test_a_result_takes_the_place_of_an_older_one_and_is_measured_again_for_other_sources(tmp_path: Path) -> None:
+    kept = Kept(tmp_path)
+    assert set(kept.left()) == cells().keys()
+    kept.add(replace(FOUND, outcome="failed", reason="robot stands"))
+    assert "**failed: robot stands**" in text(kept)
+    kept.add(FOUND)
+    assert [row["outcome"] for row in kept.rows()] == ["in_tolerance"]
+    assert "abb_cell.toml" not in kept.left()
+    path = tmp_path / "rehearsals.jsonl"
+    path.write_text(path.read_text().replace(kept.rows()[0]["of"], "older"))
+    assert kept.left()[-1] == "abb_cell.toml"
+    assert f"1 of {len(cells())} cells were rehearsed, 1 of them to their tolerance." in text(kept)
+    assert "| abb_cell.toml | abb_rws | rapid | in_tolerance | 2 | 94.3 | 8.9 | - | 8.8 | 310 |" in text(kept)
+
+
+def test_the_page_is_written_from_what_is_kept() -> None:
+    assert beside.written(PAGE, BEGIN, END) == text(Kept())
 
 
 @pytest.mark.slow

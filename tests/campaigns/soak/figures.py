@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -16,6 +15,7 @@ from statistics import median
 from typing import Any
 
 from polishd.util.files import write_atomic
+from tests.campaigns import beside
 from tests.campaigns.soak.growth import BOUNDS, Slope, slopes
 from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import ACCEPTED, BY_A_PERSON, CALM, RECOVERED, SCRIPTS, Script
@@ -44,12 +44,8 @@ UNITS = {
 
 
 def sources() -> str:
-    """A hash of polishd, and of how parts are drawn and judged: where one changes, the figures begin anew."""
-    content = hashlib.sha256()
-    own = (Path(__file__).with_name(f"{name}.py") for name in ("scripts", "parts", "judge"))
-    for path in (*sorted((ROOT / "polishd").rglob("*.py")), *own):
-        content.update(path.read_bytes())
-    return content.hexdigest()[:16]
+    """Return the hash of polishd, and of how parts are drawn and judged: where one changes, the figures begin anew."""
+    return beside.sources(("polishd", "tests/campaigns/soak"))
 
 
 class Figures:

@@ -37,7 +37,7 @@ LINES = (
     "plan CELL gone.dat --out p", "plan CELL text.dat --out p", "plan CELL text.dat --out folder",
     "tif CELL --depth-ratio -1", "tif CELL --out gone/x.png", "compliance CELL --program gone.rnc",
     "compliance CELL --program bad.rnc", "hil CELL --level contact", "hil CELL --simulate none",
-    "hil CELL --motion gone.rnc --level no-contact", "rehearse CELL --out bad.csv",
+    "hil CELL --motion gone.rnc --level no-contact", "rehearse CELL --out bad.csv", "rehearse CELL --spede 3",
     "service install gone.toml --user", "service show CELL --user --of opcua", "service show shop.toml --user --of web",
     # without a cell
     "init new --from gone.toml", "init new --from broken.toml", "init new --from empty.toml",
@@ -69,6 +69,7 @@ LINES = (
     "calibrate stiffness gone.csv", "calibrate stiffness bad.csv", "calibrate tif gone.dat text.dat --seconds 3",
     "calibrate exponent gone.csv", "calibrate exponent bad.csv", "calibrate first-touch CELL --out folder",
     "calibrate instrument CELL gone.dat --angles 0",
+    "map ragged.xyz",
 )  # fmt: skip
 NEED_NO_INPUT = {"certificate schema", "device list", "device new", "program dialects", "sim"}
 """Commands that no bad input reaches here; ``sim`` reports from its own process."""
@@ -87,6 +88,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (here / "text.dat").write_text("hello\n")
     (here / "none.dat").touch()
+    (here / "ragged.xyz").write_text("0 0 1\n1 0 2\n0 1\n")
     (here / "bad.rnc").write_text("&ACCESS\n")
     (here / "bad.csv").write_text("a,b\n1,x\n")
     (here / "job.toml").write_text('[job]\nid = "x"\n[nope]\na = 1\n')
@@ -127,6 +129,39 @@ def test_other_bad_input(line: str, folder: Path, polishd: Polishd, monkeypatch:
         assert (said.code, "name a TOML file" in said.out) == (3, True)
         return
     require_advice(said)
+
+
+@pytest.mark.parametrize(
+    ("line", "advice"),
+    [
+        ("run CELL --correction exakt", "'exakt' is not allowed. Use one of 'none', 'pointwise',"),
+        ("web CELL --role boss", "'boss' is not allowed. Use one of 'watch', 'operate', 'engineer'"),
+        ("events CELL --last -1", "'--last': must be at least 0"),
+        ("events CELL --last ten", "'--last': must be a whole number"),
+        ("tif CELL --depth-ratio two", "'--depth-ratio': must be a number"),
+        ("demo --cycles 0", "'--cycles': must be at least 1"),
+        ("service install CELL", "Missing option. Add --system or --user."),
+        ("recording CELL", "No such command 'CELL'. Use one of show."),
+        ("queue put CELL", "No such command 'put'. Use one of add, list, move, remove."),
+        ("completion", "Use 'polishd --install-completion'."),
+        ("map text.dat --units mm,foo", "use two units of length, of coordinates and heights, such as mm,nm"),
+        ("map compare text.dat text.dat --bands 1,2", "use periods in mm in descending order, such as 33,0.12"),
+        ("map text.dat --mask round:1", "'round:1' is not a shape. Use circle:X,Y,R"),
+        ("program make raster --out x.rnc --aperture round:20", "'round:20' is not a shape. Use circle:D, annulus:D,d"),
+        (
+            "program make raster --out x.rnc --aperture circle:9 --optic cup",
+            "'cup' is not a surface. Use flat",
+        ),
+    ],
+)
+def test_wrong_usage_names_what_is_allowed(
+    line: str, advice: str, folder: Path, polishd: Polishd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("COLUMNS", "300")
+    said = polishd(*line.split())
+    assert said.code == 2
+    assert advice in said.err
 
 
 def test_each_command_is_tried() -> None:

@@ -413,6 +413,7 @@ def test_key_lines_of_all_that_toml_has() -> None:
         ("a", "d", "e", "f"): 11,
         ("a", "d", "e", "g"): 11,
         ("a", "h i"): 12,
+        ("j",): 13,
         ("j", "k.l"): 13,
         ("j", "k.l", "m"): 14,
         ("n",): 15,

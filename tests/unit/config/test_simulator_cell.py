@@ -88,6 +88,15 @@ def test_an_error_has_the_place_where_the_value_is(tmp_path: Path) -> None:
         simulator(tmp_path, with_keys(CELL, {"actuator": {"landing_s": "soon"}})).require_simulated()
 
 
+def test_a_cells_file_is_refused_with_the_command_that_takes_it(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL)
+    with pytest.raises(
+        ConfigError, match=r"cell\.toml:\d+: cell: this is a cell's file\. Use polishd rehearse .*cell\.toml"
+    ):
+        load_simulator(path)
+
+
 def test_an_old_section_is_refused_with_its_new_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"sim\.toml:2: truth: .*hidden_truth"):
         simulator(tmp_path, CELL, "[truth]\nworn = 0.5\n")

@@ -1,36 +1,14 @@
-"""The table of states, and its copy in docs/reference/daemon.md: each row leads where it says."""
+"""The table of states: each row leads where it says."""
 
 from __future__ import annotations
 
 from itertools import product
-from pathlib import Path
 
 import pytest
 
 from polishd.daemon.socket.client import VERBS
-from polishd.daemon.state_machine import DOES, ORDERS, TRANSITIONS, StateEvent, StateTransition, following, obeyed
+from polishd.daemon.state_machine import ORDERS, TRANSITIONS, StateEvent, StateTransition, following, obeyed
 from polishd.model.states import DaemonState
-
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "reference" / "daemon.md"
-
-
-def cause(trigger: StateEvent) -> str:
-    """Orders are verbs, and look like it."""
-    return f"`{trigger}`" if trigger in ORDERS else trigger.value
-
-
-def test_the_docs_have_every_state_and_every_way() -> None:
-    states = [
-        "| state | what happens in it |",
-        "|---|---|",
-        *(f"| `{state}` | {DOES[state]} |" for state in DaemonState),
-    ]
-    ways = ["| in | when | next | with `--no-hold` | |", "|---|---|---|---|---|"]
-    for row in TRANSITIONS:
-        alone = f"`{row.unattended}`" if row.unattended else ""
-        ways.append(f"| `{row.source}` | {cause(row.trigger)} | `{row.target}` | {alone} | {row.note} |")
-    for table in (states, ways):
-        assert "\n".join(table) in DOCS.read_text(), "\n".join(table)
 
 
 def test_no_way_stands_in_it_twice_and_none_leads_out_of_the_end() -> None:

@@ -111,11 +111,11 @@ def test_a_mask_is_told_of_each_map_and_drawn(
 @pytest.mark.parametrize(
     ("mask", "says"),
     [
-        ("circle:0,0", "is none of circle:X,Y,R"),
-        ("circle:0,0,x", "is none of circle:X,Y,R"),
-        ("not:not:circle:0,0,5", "is none of circle:X,Y,R"),
-        ("oval:0,0,5", "is none of circle:X,Y,R"),
-        ("polygon:", "is none of circle:X,Y,R"),
+        ("circle:0,0", "is not a shape. Use circle:X,Y,R"),
+        ("circle:0,0,x", "is not a shape. Use circle:X,Y,R"),
+        ("not:not:circle:0,0,5", "is not a shape. Use circle:X,Y,R"),
+        ("oval:0,0,5", "is not a shape. Use circle:X,Y,R"),
+        ("polygon:", "is not a shape. Use circle:X,Y,R"),
         ("circle:0,0,-5", "the outline's radius is -5 mm; it must be above 0"),
         ("circle:nan,0,5", "its centre is no finite number"),
         ("annulus:0,0,3,5", "its hole is not smaller than itself"),

@@ -1,45 +1,17 @@
-"""The records of what happens, and the table of them in docs/reference/events.md."""
+"""The records of what happens."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import fields
-from pathlib import Path
-from typing import get_type_hints
 
 import pytest
 
+from docs.reference.code_tables import event_row
 from polishd.model import events
 from polishd.model.devices import DeviceIdentity
 from polishd.model.events import EVENTS, CellOpened, Event, MapMeasured, PassEnded
 from polishd.model.states import Outcome
 from polishd.model.surface import SurfaceStats
-
-DOCS = Path(__file__).resolve().parents[3] / "docs" / "reference" / "events.md"
-
-
-def row(kind: type[Event]) -> str:
-    """As the table has it."""
-    hints = get_type_hints(kind, include_extras=True)
-    own = [f"`{item.name}`: {hints[item.name].__metadata__[0]}" for item in fields(kind) if item.name != "cycle"]
-    return f"| `{kind.__name__}`, `{kind.name}` | {kind.__doc__} | {'; '.join(own)} |"
-
-
-def concerns() -> str:
-    """The table of those that concern a person, from what their ``concern`` says of itself."""
-    kinds = [kind for kind in EVENTS if kind.concern is not Event.concern]
-    rows = [f"| `{kind.__name__}`, `{kind.name}` | {kind.concern.__doc__} |" for kind in kinds]
-    return "\n".join(["| event | severity |", "|---|---|", *rows])
-
-
-def test_the_docs_say_which_events_concern_a_person() -> None:
-    assert concerns() in DOCS.read_text(), concerns()
-
-
-def test_the_docs_have_every_event_with_its_fields() -> None:
-    text = DOCS.read_text()
-    table = ["| event | when | fields |", "|---|---|---|", *map(row, EVENTS)]
-    assert "\n".join(table) in text, "\n".join(table)
 
 
 def test_every_kind_is_listed_once() -> None:
@@ -71,4 +43,4 @@ def test_opened_has_a_key_for_each_device() -> None:
 
 @pytest.mark.parametrize("outcome", Outcome)
 def test_the_outcomes_are_told(outcome: Outcome) -> None:
-    assert f"`{outcome.value}`" in row(events.RunFolderCompleted)
+    assert f"`{outcome.value}`" in event_row(events.RunFolderCompleted)[2]

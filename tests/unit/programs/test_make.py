@@ -31,7 +31,7 @@ from polishd.plugins.rnc_robot.formats import read
 from polishd.process.frames import dips_deg
 from polishd.process.optic_surface import sag_mm, unit_normals
 from polishd.process.toolpath.apertures import TURN_LIMIT_DEG
-from polishd.programs.make import UNCHECKED, dialect_of, make_path
+from polishd.programs.make import UNCHECKED, dialect_of, make_path, own_path, quiet_lines
 from polishd.programs.options import MakeOptions
 from polishd.sim_backends.common.metropro import DatMap, pack
 from tests.unit.said import Polishd
@@ -217,6 +217,44 @@ def test_options_override_the_cell() -> None:
     asked = MakeOptions("raster", Path("x"), cell=EXAMPLE, pitch_mm=5.0, optic="flat", dip_deg=0.0)
     upright = make_path(asked, load_config(EXAMPLE)).axis
     np.testing.assert_allclose(upright, np.tile([0, 0, 1], (len(upright), 1)), atol=1e-12)
+
+
+def test_a_cell_chooses_the_distance_with_the_least_ripple_and_says_it(tmp_path: Path) -> None:
+    said, _ = made(tmp_path, "raster", "--cell", EXAMPLE)
+    config = load_config(EXAMPLE)
+    chosen = quiet_lines(config, 1.0)
+    assert said["pitch_mm"] == chosen.pitch_mm
+    assert said["ripple"] == {"share": chosen.share, "share_high": chosen.share_high, "radius_error": 0.03}
+    steps_mm = np.unique(np.round(own_path(config)[0][:, 1], 6))
+    assert np.median(np.diff(steps_mm)) == pytest.approx(chosen.pitch_mm, rel=1e-3), "the demo's path has it, too"
+
+
+def test_more_time_buys_less_ripple_and_less_time_keeps_to_its_budget(tmp_path: Path) -> None:
+    (tmp_path / "long").mkdir()
+    (tmp_path / "short").mkdir()
+    whole, _ = made(tmp_path / "long", "raster", "--cell", EXAMPLE, "--time-budget", 1500)
+    quick, _ = made(tmp_path / "short", "raster", "--cell", EXAMPLE, "--time-budget", 250)
+    assert whole["pitch_mm"] < 1.0 < quick["pitch_mm"]
+    assert whole["ripple"]["share_high"] < quick["ripple"]["share_high"] / 3
+    assert whole["duration_s"] <= 1500
+    assert quick["duration_s"] <= 250
+
+
+def test_a_spiral_counts_with_lines_of_all_directions() -> None:
+    config = load_config(EXAMPLE)
+    spiral = quiet_lines(config, 1.0, shape="spiral")
+    each = [quiet_lines(config, 1.0, direction_deg=turn).share_high for turn in (0.0, 90.0)]
+    assert spiral.share_high >= min(each)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--time-budget", "100"), ("--cell", str(EXAMPLE), "--pitch", "1", "--time-budget", "100")],
+)
+def test_a_budget_needs_a_cell_and_chooses_the_distance(tmp_path: Path, words: tuple[str, ...]) -> None:
+    found = call("raster", "--aperture", "circle:20", *words, "--out", tmp_path / "made.nc")
+    assert found.exit_code == 2
+    assert "--time-budget" in found.stderr
 
 
 def cell_with(tmp_path: Path, *changes: tuple[str, str]) -> Path:

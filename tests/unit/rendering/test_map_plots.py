@@ -14,7 +14,6 @@ from polishd.rendering.map_plots import (
     ConvergenceStep,
     Spectrum,
     convergence,
-    height_limit,
     height_map,
     histogram,
     path_map,
@@ -23,6 +22,7 @@ from polishd.rendering.map_plots import (
     value_map,
 )
 from polishd.rendering.plots import figure
+from polishd.rendering.scales import height_limit
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ A job's file at the shop: whole with the files that it names, wherever they lay.
 from __future__ import annotations
 
 import threading
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,14 @@ def states(shop: Database) -> dict[str, str]:
 def words(shop: Database) -> list[str]:
     with shop.transaction() as sql:
         return [one["what"] for one in server.words(sql)]
+
+
+def test_a_part_that_was_added_before_release_1_0_is_given_with_the_present_key_names(shop: Database) -> None:
+    part = NewPart("a", "P-a", '[job]\nid = "a"\naccept = "bound"\n[part]\nrim = "ring"\n')
+    with shop.transaction() as sql:
+        parts.add(sql, [part], "ada", [{}])
+        content = parts.claim(sql, "north", "1")["part"]["content"]
+    assert tomllib.loads(content) == {"job": {"id": "a", "accept_by": "bound"}, "part": {"free_edge": False}}
 
 
 def test_parts_are_given_in_their_order_each_to_one_cell(shop: Database) -> None:

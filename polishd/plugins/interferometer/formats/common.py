@@ -148,8 +148,8 @@ def parsing(path: Path, library: str) -> Iterator[None]:
     except MapError:
         raise
     except Exception as error:  # a parser may raise anything at all on a broken file
-        reason = str(error).strip() or type(error).__name__
-        raise MapError(f"{path}: {library} cannot read it: {reason[:300]}") from error
+        reason = str(error).partition("; use `usecols`")[0].strip().rstrip(".") or type(error).__name__
+        raise MapError(f"{path}: {library} cannot read it: {reason[:300]}. Export the map again") from error
 
 
 def extra(path: Path, module: str, name: str) -> Any:

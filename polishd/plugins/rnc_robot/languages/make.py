@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from polishd.api import ProgramError
 from polishd.model.program import Encoding
@@ -57,8 +57,9 @@ def orientations(profile: LanguageProfile, axis: FloatArray) -> FloatArray:
     sine = np.linalg.norm(turn, axis=1, keepdims=True)
     angle = np.arctan2(sine, (z @ upright)[:, None])
     unit = np.divide(turn, sine, out=np.tile([1.0, 0.0, 0.0], (len(z), 1)), where=sine > 1e-12)
-    rotation = Rotation.from_rotvec(unit * angle) * (
-        Rotation.from_euler("x", 180, degrees=True) if into else Rotation.identity()
+    turns = scipy.spatial.transform.Rotation  # its import is slow: only here
+    rotation = turns.from_rotvec(unit * angle) * (
+        turns.from_euler("x", 180, degrees=True) if into else turns.identity()
     )
     if notation.convention == "vector":
         return z

@@ -52,7 +52,7 @@ def test_a_new_cell_passes_its_check_and_has_all_else_to_do(cell: Path) -> None:
 @pytest.mark.full
 def test_steps_are_done_as_their_files_appear_and_undone_as_they_go(cell: Path) -> None:
     text = cell.read_text()
-    kept = "\n".join(line for line in text.splitlines() if not line.startswith("# LOOK: "))
+    kept = "\n".join(line for line in text.splitlines() if not line.startswith("# TODO: assumed, check: "))
     cell.write_text('include = ["stiffness.toml"]\n' + kept)
     stiffness = "joint_stiffness_n_mm_per_rad = [3e8, 3e8, 3e8, 9e7, 9e7, 9e7]"
     (cell.parent / "stiffness.toml").write_text(f"[kinematics]\n{stiffness}\n")

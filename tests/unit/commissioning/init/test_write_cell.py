@@ -74,7 +74,7 @@ def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(t
     lines = (tmp_path / "cell" / "cell.toml").read_text().splitlines()
     marked = []
     for at, line in enumerate(lines):
-        if line.startswith("# LOOK: "):
+        if line.startswith("# TODO: assumed, check: "):
             marked.append(next(key for key in lines[at:] if not key.startswith("#")).partition(" ")[0])
     assert sorted(marked) == sorted(key.partition(".")[2] for key in shown["look"])
     assert "part.origin_mm" in shown["look"]
@@ -159,7 +159,7 @@ def test_an_arm_without_rows_is_left_to_be_filled_in_and_says_where(tmp_path: Pa
         load_config(tmp_path / "cell" / "cell.toml")
     assert "kinematics.dh" in shown["todo"][0]["found"]
     lines = (tmp_path / "cell" / "cell.toml").read_text().splitlines()
-    filled = [line.removeprefix("# ") for line in lines if not line.startswith("# LOOK")]
+    filled = [line.removeprefix("# ") for line in lines if not line.startswith("# TODO")]
     text = "\n".join(line for line in filled if re.match(r"\[|\]|\w+ = |  \[", line))
     (tmp_path / "filled.toml").write_text(text)
     assert isinstance(load_config(tmp_path / "filled.toml").robot_model(), SerialRobot)

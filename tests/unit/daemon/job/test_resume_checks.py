@@ -21,8 +21,6 @@ from polishd.daemon.journal.journal import Journal
 from polishd.model.errors import ConfigError
 from tests.commissioned import forged
 
-DOCS = Path(__file__).resolve().parents[4] / "docs" / "reference" / "daemon.md"
-
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Path:
@@ -205,10 +203,3 @@ def test_what_has_no_rule_may_not_change() -> None:
 
 def test_keys_that_name_files_may_not_change() -> None:
     assert [key for key in FILES if may_change(key)] == []
-
-
-def test_the_documentation_shows_the_table() -> None:
-    shown = re.findall(r"^ *\| (`.*?) \| (yes|no) \| (.*) \|$", DOCS.read_text(), re.MULTILINE)
-    assert shown == [
-        (", ".join(f"`{key}`" for key in rule.keys), "yes" if rule.may_change else "no", rule.why) for rule in RULES
-    ]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from polishd.daemon.queue.queue import RULES, TORN, JobResult, ResultRule, judge, rule_of
+from polishd.daemon.queue.queue import RULES, JobResult, judge, rule_of
 from polishd.model.errors import (
     DeviceFault,
     LinkError,
@@ -74,17 +73,3 @@ def test_every_error_and_outcome_has_a_row() -> None:
         assert rule_of(end) in RULES
     for outcome in set(Outcome) - {Outcome.STOPPED}:
         assert rule_of(outcome) in RULES
-
-
-def row(rule: ResultRule, *, torn: bool = False) -> str:
-    """As the table has it."""
-    ends = ", ".join(f"`{end.value if isinstance(end, Outcome) else end.__name__}`" for end in rule.ends)
-    part = rule.how or "its job is not over"
-    return f"| {ends}{' that cut off a pass' if torn else ''} | {part} | {rule.queue} | {rule.why} |"
-
-
-def test_the_docs_show_the_table() -> None:
-    head = ["| what ended it | the part is | the queue | why |", "|---|---|---|---|"]
-    table = [*head, row(TORN, torn=True), *map(row, RULES)]
-    docs = Path(__file__).resolve().parents[4] / "docs" / "reference" / "daemon.md"
-    assert "\n".join(table) in docs.read_text(), "\n".join(table)

@@ -15,6 +15,7 @@ from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, ProtocolError
 from polishd.config.simulator import FaultSection
 from polishd.drivers.abb_rws.driver import AbbRobot
 from polishd.drivers.abb_rws.services import RwsServices
+from tests.fakes import abb_rws
 from tests.fakes.abb_rws import FakeAbb, rapid_move
 from tests.patience import SOON_S
 from tests.programs import plan_of
@@ -147,6 +148,47 @@ async def test_a_controller_without_the_background_task_is_refused_before_motion
     async with robot_at(tmp_path, has_watch=False) as (robot, _):
         with pytest.raises(DeviceRefused, match=r"T_POLISHD does not answer.*polishd_watch\.mod"):
             await robot.prepare(plan_of([rapid_move(0)]))
+
+
+async def test_a_background_task_that_does_not_take_the_limit_is_refused_before_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(abb_rws, "WATCH", abb_rws.WATCH.replace(b"tripped,polishd_limit]", b"tripped,0]"))
+    async with robot_at(tmp_path) as (robot, fake):
+        plan = plan_of([rapid_move(0)])
+        await robot.prepare(plan)
+        with pytest.raises(DeviceRefused, match=r"reports a limit of 0 s .*polishd wrote 8 s .*robot\.watchdog_s"):
+            await robot.send(plan.segments)
+        assert fake.stands
+
+
+async def test_a_limit_that_another_client_changes_ends_the_program_and_the_next_one_writes_it_again(
+    tmp_path: Path,
+) -> None:
+    async with robot_at(tmp_path) as (robot, fake):
+        await run(robot)
+        await executed(robot, 3)
+        await robot._connection.link.write(robot._tasks.watched("polishd_limit"), "0")
+        with pytest.raises(DeviceFault, match="reports a limit of 0 s"):
+            await executed(robot, 60)
+        await robot.hold()
+        assert fake.stands
+        with pytest.raises(DeviceRefused, match="is over"):
+            await robot.resume()
+        await run(robot, 5)
+        assert len(await executed(robot, 5)) == 5
+
+
+async def test_a_limit_that_is_changed_before_the_start_refuses_it(tmp_path: Path) -> None:
+    async with robot_at(tmp_path) as (robot, _):
+        plan = plan_of([rapid_move(0)])
+        await robot.prepare(plan)
+        await robot.send(plan.segments)
+        link = robot._connection
+        await link.link.write(robot._tasks.watched("polishd_limit"), "60")
+        await link.until(lambda: link.last.limit_s == 60.0, SOON_S)
+        with pytest.raises(DeviceRefused, match="reports a limit of 60 s"):
+            await robot.resume()
 
 
 async def test_a_module_that_the_controller_cannot_read_is_refused_by_its_block(tmp_path: Path) -> None:

@@ -62,6 +62,13 @@ def test_a_variable_that_the_controller_does_not_have_is_named() -> None:
         decode_values(["$OV_PRO", "POLISHD_CLOCK"], KvpAnswer(6, payload, 0, False))
 
 
+def test_values_of_an_answer_that_reports_an_error_are_not_used() -> None:
+    payload = b"\1\1\0\1" + "7".encode("utf-16-le")
+    assert decode_values(["$OV_PRO"], KvpAnswer(6, payload, 1, True)) == {"$OV_PRO": "7"}
+    with pytest.raises(ProtocolError, match="no access in reading 1 variables"):
+        decode_values(["$OV_PRO"], KvpAnswer(6, payload, 2, False))
+
+
 @pytest.mark.parametrize("payload", [b"", b"\3", b"\1\1\0\5a\0", b"\1\1\0\1a\0b\0", b"\1\1"])
 def test_an_answer_that_breaks_off_is_a_protocol_error(payload: bytes) -> None:
     with pytest.raises(ProtocolError):

@@ -116,7 +116,9 @@ def test_a_sample_is_read_from_the_texts_of_the_controller() -> None:
     assert (sample.time_s, sample.block, sample.override) == (2.5, 3, 0.4)
 
 
-@pytest.mark.parametrize("wrong", [{"$OV_PRO": "1x"}, {"$PERI_RDY": "yes"}, {"POLISHD_SEEN": "#A"}])
+@pytest.mark.parametrize(
+    "wrong", [{"$OV_PRO": "1x"}, {"$PERI_RDY": "yes"}, {"POLISHD_SEEN": "#A"}, {"$MODE_OP": "100"}, {"$PRO_STATE1": ""}]
+)
 def test_a_value_of_another_type_is_a_protocol_error(wrong: dict[str, str]) -> None:
     with pytest.raises(ProtocolError, match=next(iter(wrong)).replace("$", ".")):
         KukaSample.of(values(**wrong))

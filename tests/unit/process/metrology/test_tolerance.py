@@ -7,7 +7,7 @@ import pytest
 
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
-from polishd.model.tolerance import ToleranceLine, part_holds, worst_line
+from polishd.model.tolerance import LineResult, ToleranceLine, part_holds, worst_line
 from polishd.process.metrology.resampling import Registration
 from polishd.process.metrology.tolerance import (
     irregularity,
@@ -17,6 +17,7 @@ from polishd.process.metrology.tolerance import (
     tolerance_notes,
     unreachable_lines,
 )
+from polishd.process.removal.ripple import Ripple, RippleLine
 
 PITCH = 0.5
 GRID = Grid(241, 241, PITCH)
@@ -180,3 +181,65 @@ def test_both_need_a_scale() -> None:
     for surface, nominal in ((flat, SurfaceMap(np.zeros((9, 9)), None)), (SurfaceMap(np.zeros((9, 9)), None), flat)):
         with pytest.raises(MapError, match="lateral scale"):
             subtract_nominal(surface, nominal, Registration())
+
+
+# Ripple that the samples of a map average away.
+
+FINE_MM, CELLS = 0.05, 8
+SAMPLE_MM = FINE_MM * CELLS
+PERIOD_MM, RMS_NM = 1.0, 1.5
+
+
+def both_maps() -> tuple[FloatArray, FloatArray]:
+    """A figure with lines across x: on fine samples, and averaged over cells."""
+    at = (np.arange(100 * CELLS) + 0.5) * FINE_MM
+    figure = 2.0 * np.sin(2 * np.pi * at[:, None] / 20.0) * np.cos(2 * np.pi * at / 13.0)
+    fine = figure + RMS_NM * 2**0.5 * np.cos(2 * np.pi * at / PERIOD_MM)
+    return fine, fine.reshape(100, CELLS, 100, CELLS).mean(axis=(1, 3))
+
+
+LINES = [
+    ToleranceLine("rms", 1.0),
+    ToleranceLine("rms", 1.0, above_mm=0.85, below_mm=3.0),
+    ToleranceLine("slope_rms", 1.0, integration_mm=0.8, above_mm=0.85),
+    ToleranceLine("psd", 1.0, above_mm=0.9, below_mm=3.0),
+]
+
+
+@pytest.mark.parametrize("line", LINES, ids=lambda line: line.what)
+def test_a_coarse_map_with_the_forecast_ripple_is_judged_as_a_fine_one(line: ToleranceLine) -> None:
+    fine, coarse = both_maps()
+    (exact,) = judge_lines([line], fine, np.ones(fine.shape, np.bool_), FINE_MM)
+    lines = (RippleLine("across", PERIOD_MM, 2**0.5 * RMS_NM, RMS_NM, 1.2 * RMS_NM, 0.0),)
+    (found,) = judge_lines([line], coarse, np.ones(coarse.shape, np.bool_), SAMPLE_MM, ripple=Ripple(lines))
+    assert found.value < 0.9 * exact.value
+    above = 0.3 if line.figure == "psd" else 0.06  # all of it in one ring, where a measured spectrum has it in two
+    assert found.with_ripple == found.counted
+    assert 0.94 * exact.value < found.counted < (1 + above) * exact.value
+    assert found.with_ripple_high is not None
+    assert found.with_ripple_high > found.with_ripple
+
+
+def test_ripple_that_a_fine_map_shows_is_not_counted_again() -> None:
+    fine, _ = both_maps()
+    lines = (RippleLine("across", PERIOD_MM, 2**0.5 * RMS_NM, RMS_NM, RMS_NM, 0.0),)
+    (found,) = judge_lines([LINES[0]], fine, np.ones(fine.shape, np.bool_), FINE_MM, ripple=Ripple(lines))
+    assert found.with_ripple == pytest.approx(found.value, rel=3e-3)
+    assert found.ripple_words == ""
+
+
+def test_ripple_of_other_periods_does_not_enter_a_line() -> None:
+    _, coarse = both_maps()
+    lines = (RippleLine("across", 0.5, RMS_NM, RMS_NM, RMS_NM, 0.0),)
+    (found,) = judge_lines([LINES[1]], coarse, np.ones(coarse.shape, np.bool_), SAMPLE_MM, ripple=Ripple(lines))
+    assert (found.with_ripple, found.counted) == (None, found.value)
+
+
+@pytest.mark.parametrize(("limit", "holds", "unsure"), [(3.0, True, False), (2.35, True, True), (1.9, False, False)])
+def test_a_line_holds_by_the_figure_with_ripple_and_is_unsure_up_to_its_95_percent(
+    limit: float, holds: bool, unsure: bool
+) -> None:
+    line = LineResult("RMS", 1.5, limit, "nm", with_ripple=2.2, with_ripple_high=2.5)
+    assert (line.holds, line.unsure) == (holds, unsure)
+    assert "2.2 with ripple that the map does not show (up to 2.5)" in str(line)
+    assert LineResult.of(line.facts()) == line

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
@@ -15,6 +16,7 @@ from polishd.process.removal.ripple import (
     RADIUS_ERROR,
     ActingSpots,
     ContactAt,
+    PathErrors,
     Ripple,
     RippleLine,
     quiet_pitch,
@@ -107,7 +109,7 @@ def amplitudes(at: FloatArray, height: FloatArray, angle_deg: float, period_mm: 
 
 def forecast(lines: Lines, radius_error: float = RADIUS_ERROR) -> Ripple:
     blocks, time_s = lines.blocks()
-    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), radius_error=radius_error)
+    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), errors=PathErrors(radius_error))
 
 
 def of(ripple: Ripple, direction: str) -> list[RippleLine]:
@@ -157,7 +159,7 @@ def test_an_uncertain_radius_counts_the_more_the_nearer_the_distance_is_to_a_nul
     null, beside = forecast(Lines(0.967)), forecast(Lines(1.2))
     assert null.rms_high_nm > 1.25 * null.rms_nm
     assert beside.rms_high_nm < 1.15 * beside.rms_nm
-    assert forecast(Lines(0.967), radius_error=0.0).rms_high_nm == pytest.approx(null.rms_nm)
+    assert forecast(Lines(0.967), 0.0).rms_high_nm == pytest.approx(null.rms_nm)
 
 
 @pytest.mark.full
@@ -210,15 +212,19 @@ def test_a_wider_spot_of_the_same_volume_is_the_spot_of_the_high_value() -> None
     lines = Lines(1.5)
     blocks, time_s = lines.blocks()
     spots = [WiderSpot(HertzSpot(PROCESS, 128), factor) for factor in (1.0, 0.97, 1.03)]
-    each = [ripple_of(ActingSpots(spot, blocks), time_s, GRID, clear(), radius_error=0.0).lines[0] for spot in spots]
+    each = [
+        ripple_of(ActingSpots(spot, blocks), time_s, GRID, clear(), errors=PathErrors(0.0)).lines[0] for spot in spots
+    ]
     assert forecast(lines).lines[0].rms_high_nm == pytest.approx(max(one.rms_nm for one in each), rel=1e-3)
 
 
 def test_a_curved_contact_is_laid_down_as_it_is_widened() -> None:
     blocks, time_s = Lines(1.5).blocks()
     wide = replace(blocks, bent=np.tile([1.1, 1.1, 0.0], (blocks.n, 1)))
-    plain = ripple_of(ActingSpots(WiderSpot(HertzSpot(PROCESS), 1.1), blocks), time_s, GRID, clear(), radius_error=0.0)
-    curved = ripple_of(ActingSpots(HertzSpot(PROCESS), wide), time_s, GRID, clear(), radius_error=0.0)
+    plain = ripple_of(
+        ActingSpots(WiderSpot(HertzSpot(PROCESS), 1.1), blocks), time_s, GRID, clear(), errors=PathErrors(0.0)
+    )
+    curved = ripple_of(ActingSpots(HertzSpot(PROCESS), wide), time_s, GRID, clear(), errors=PathErrors(0.0))
     assert curved.lines[0].rms_nm == pytest.approx(plain.lines[0].rms_nm, rel=0.02)
 
 
@@ -229,10 +235,102 @@ def test_no_block_in_the_aperture_leaves_no_ripple() -> None:
     assert ripple_of(acting, time_s, GRID, np.zeros(GRID.shape, dtype=np.bool_)).lines == ()
 
 
-@pytest.mark.parametrize("wrong", [-0.1, 0.7, np.nan])
-def test_an_error_of_the_radius_that_cannot_be_is_refused(wrong: float) -> None:
-    with pytest.raises(ComputeError, match="the error of the spot's radius"):
-        forecast(Lines(1.0), radius_error=wrong)
+@pytest.mark.parametrize(
+    ("wrong", "what"),
+    [
+        (PathErrors(-0.1), "the error of the spot's radius"),
+        (PathErrors(0.7), "the error of the spot's radius"),
+        (PathErrors(np.nan), "the error of the spot's radius"),
+        (PathErrors(line_mm=-1.0), "the error of a line's place"),
+        (PathErrors(lag_mm=np.inf), "the lag"),
+    ],
+)
+def test_an_error_that_cannot_be_is_refused(wrong: PathErrors, what: str) -> None:
+    with pytest.raises(ComputeError, match=what):
+        with_errors(Lines(1.0), wrong)
+
+
+# Lines out of place, and a tool that trails its path.
+
+
+def with_errors(lines: Lines, errors: PathErrors) -> Ripple:
+    blocks, time_s = lines.blocks()
+    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), errors=errors)
+
+
+def by_cause(ripple: Ripple, cause: str) -> list[RippleLine]:
+    return [one for one in ripple.lines if one.cause == cause]
+
+
+def profile(y: FloatArray, azimuth_deg: float) -> FloatArray:
+    """(m,) removal of a straight line across it, of mean 1 over 1 mm: the rate summed along the line."""
+    x = np.arange(-1.2 * RADIUS_MM, 1.2 * RADIUS_MM, RADIUS_MM / 200)[:, None]
+    sine, cosine = np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))
+    tool = x * sine - y * cosine, x * cosine + y * sine
+    depth = np.full(tool[0].shape, 0.95 * DEPTH_MM)
+    found = contact.removal_rate_nm_s(PROCESS, depth, *tool).sum(axis=0)
+    return np.asarray(found / (found.sum() * (y[1] - y[0])))
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("pitch_mm", [0.7, 1.5])
+def test_lines_out_of_place_leave_what_lines_moved_at_random_leave(pitch_mm: float) -> None:
+    error_mm, count = 0.06, 4000
+    found = by_cause(with_errors(Lines(pitch_mm), PathErrors(0.0, error_mm)), "line_error")
+    step = RADIUS_MM / 60
+    y = np.arange(-120, 121) * step * 1.2
+    slope = np.gradient(profile(y, 90.0), y)
+    at = np.arange(0, count * pitch_mm, step)
+    moved = np.random.default_rng(3).standard_normal(count) * error_mm / 1.96
+    change = np.zeros_like(at)
+    for number, shift in enumerate(moved):
+        near = slice(*np.searchsorted(at, [number * pitch_mm + y[0], number * pitch_mm + y[-1]]))
+        change[near] -= 20.0 * pitch_mm * shift * np.interp(at[near] - number * pitch_mm, y, slope)
+    lines = 2 * CLEAR_MM / pitch_mm
+    sure = np.sqrt(chi2.ppf(0.95, lines) / lines)
+    assert [(one.direction, one.rms_nm, one.amplitude_nm) for one in found] == [("across", 0.0, 0.0)]
+    assert found[0].rms_high_nm == pytest.approx(change.std() * sure, rel=0.06)
+    power, frequency = np.abs(np.fft.rfft(change)) ** 2, np.fft.rfftfreq(at.size, step)
+    half = np.searchsorted(np.cumsum(power), power.sum() / 2)
+    assert found[0].period_mm == pytest.approx(1 / frequency[half], rel=0.05)
+
+
+def test_a_tool_that_trails_lines_to_and_fro_leaves_twice_their_period() -> None:
+    lines, lag_mm = Lines(1.5, slope=(1.0, 0.0)), 0.4
+    found = by_cause(with_errors(lines, PathErrors(0.0, lag_mm=lag_mm)), "lag")
+    blocks, time_s = lines.blocks()
+    back = np.array([lag_mm, 0.0]) * np.sign(blocks.end_mm - blocks.start_mm)[:, :1]
+    trailing = replace(blocks, start_mm=blocks.start_mm - back, end_mm=blocks.end_mm - back)
+    at, late = direct_nm(trailing, time_s, 1.0, 3.0)
+    _, prompt = direct_nm(blocks, time_s, 1.0, 3.0)
+    exact = float(np.linalg.norm(amplitudes(at, late - prompt, 90.0, 3.0)))
+    assert exact > 0.01
+    assert [(one.direction, one.period_mm, one.rms_nm) for one in found] == [("across", pytest.approx(3.0), 0.0)]
+    assert found[0].rms_high_nm * 2**0.5 == pytest.approx(exact, rel=0.1)
+
+
+def test_a_lag_along_an_even_removal_or_lines_of_one_direction_leaves_nothing() -> None:
+    assert by_cause(with_errors(Lines(1.5), PathErrors(lag_mm=0.4)), "lag")[0].rms_high_nm < 1e-3
+    blocks, time_s = Lines(1.5, slope=(1.0, 0.0)).blocks()
+    back = (blocks.end_mm < blocks.start_mm)[:, :1]
+    one_way = replace(
+        blocks,
+        start_mm=np.where(back, blocks.end_mm, blocks.start_mm),
+        end_mm=np.where(back, blocks.start_mm, blocks.end_mm),
+    )
+    acting = ActingSpots(HertzSpot(PROCESS), one_way)
+    found = ripple_of(acting, time_s, GRID, clear(), errors=PathErrors(lag_mm=0.4))
+    assert by_cause(found, "lag")[0].rms_high_nm < 1e-3
+
+
+def test_a_path_without_lines_has_its_errors_too() -> None:
+    points = np.random.default_rng(1).uniform(-20, 20, (1600, 2))
+    n = len(points)
+    blocks = PathBlocks(points, points, np.full(n, np.pi / 2), np.full(n, 0.95), np.ones(n))
+    acting, errors = ActingSpots(HertzSpot(PROCESS), blocks), PathErrors(0.03, 0.02, 0.1)
+    found = ripple_of(acting, np.ones(n), GRID, clear(), errors=errors)
+    assert [one.cause for one in found.lines] == ["path", "lag", "line_error"]
+    assert all(one.rms_high_nm > 0 for one in found.lines)
 
 
 # The line distance with the least ripple.
@@ -252,9 +350,9 @@ def test_the_share_of_straight_lines_is_that_of_their_sum(azimuth_deg: float) ->
 
 def test_the_quiet_pitch_is_better_than_its_neighbours_and_within_its_path() -> None:
     contact_at = ContactAt(0.95, np.pi / 2)
-    found = quiet_pitch(HertzSpot(PROCESS), contact_at, 1.0)
+    found = quiet_pitch(HertzSpot(PROCESS), [contact_at], 1.0)
     others = np.linspace(1.0 / 1.15, 1.0, 50)
     assert found.share_high <= ripple_shares(HertzSpot(PROCESS), contact_at, others)[1].min() * 1.001
     assert 1.0 / 1.15 <= found.pitch_mm <= 1.0
-    shorter = quiet_pitch(HertzSpot(PROCESS), contact_at, 1.0, more_path=3.0)
+    shorter = quiet_pitch(HertzSpot(PROCESS), [contact_at], 1.0, more_path=3.0)
     assert shorter.share_high < found.share_high

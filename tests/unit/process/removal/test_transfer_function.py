@@ -19,7 +19,6 @@ from polishd.process.removal.transfer_function import (
     correctable_surface,
     spot_transfer_function,
 )
-from polishd.process.toolpath.paths import quiet_step_mm
 from tests.unit.process.moves import program
 
 # At a dip of 89 deg the speed hardly varies over the contact, and the rate goes as the pressure.
@@ -56,12 +55,11 @@ def test_a_hertz_spot_has_the_transform_of_its_pressure() -> None:
 def test_a_hertz_spot_has_its_null_where_the_raster_is_quiet() -> None:
     found = spot_transfer_function(HertzSpot(EVEN))
     assert found.null_period_mm == pytest.approx(2 * np.pi * A / brentq(lambda u: np.tan(u) - u, 4.4, 4.5), rel=2e-3)
-    assert found.null_period_mm == pytest.approx(quiet_step_mm(A, 2 * A), rel=2e-3)
 
 
 def test_the_papers_spot_too() -> None:
     found = spot_transfer_function(HertzSpot(ToolProcess()))
-    assert found.null_period_mm == pytest.approx(quiet_step_mm(1.7225, 3.0), rel=5e-3)
+    assert found.null_period_mm == pytest.approx(2 * np.pi * 1.7225 / 4.4934, rel=5e-3)
     assert 1.4 * 1.7225 < found.cutoff_period_mm < 1.6 * 1.7225
 
 

@@ -26,7 +26,7 @@ from polishd.model.surface import FloatArray
 from polishd.pipeline import steps
 from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.records import MeasureResult, as_json, facts_of
+from polishd.pipeline.records import MeasureResult, as_json, facts_of, made_ripple
 from polishd.pipeline.run_folder import RunFolder, read_map
 from polishd.plugin_loader import load_cell
 from tests.commissioned import forged
@@ -60,6 +60,8 @@ class Making:
     last: MeasureResult | None = None
     size_nm: float = 20.0
     readers: Sequence[Any] = field(default_factory=list)
+    ripple: Sequence[dict[str, Any]] = ()
+    """Lines that each pass adds."""
 
     def measure(self, cycle: int) -> None:
         """A map, conditioned, journalled and kept."""
@@ -68,7 +70,8 @@ class Making:
         surface = read_map(path, self.readers)
         last = self.last
         known = (None, None) if last is None else (last.masks, last.registration)
-        measured = steps.condition(self.recipe, surface, *known)
+        ripple = made_ripple([record.facts for record in self.journal.passes])
+        measured = steps.condition(self.recipe, surface, *known, ripple)
         self.last = self.last or measured
         self.journal.record_map(cycle, surface.sha256, path, measured.facts(), "")
         self.folder.cycle(cycle).write(measured.files())
@@ -85,7 +88,7 @@ class Making:
         )
         certificate["cutoff_period_mm"] = CUTOFF_MM
         facts = {"certificate": certificate, "predicted_rms_nm": 0.5, "dwell_s": 1.0 * BLOCKS, "rate": 1.0}
-        facts["forecast"] = {"low_nm": 0.5, "median_nm": 1.5, "high_nm": 4.0}
+        facts["forecast"] = {"low_nm": 0.5, "median_nm": 1.5, "high_nm": 4.0, "ripple": {"lines": self.ripple}}
         digest = hashlib.sha256(program).hexdigest()
         self.journal.begin_pass(cycle, digest, "boot", BLOCKS, facts=facts)
         done = int(share * BLOCKS)

@@ -21,7 +21,7 @@ from polishd.process.metrology.spectra import split_bands
 from polishd.reports.certificate.content import CertificateDraft, CertificateRequest, certificate_content
 from polishd.reports.certificate.model import Content
 from polishd.reports.certificate.sources import find_run, read_rows
-from tests.unit.maps.maps import dat
+from tests.unit.maps.maps import PITCH_MM, dat
 from tests.unit.reports.certificate.runs import CUTOFF_MM, begin, heights
 from tests.unit.said import Polishd
 
@@ -337,3 +337,34 @@ def test_a_cycle_whose_folder_is_gone_shifts_no_other(whole: Path, whole_content
     assert content.after == whole_content.after
     assert content.aperture == whole_content.aperture
     assert content.passes[0].planned == whole_content.passes[0].planned
+
+
+def test_the_ripple_that_the_last_map_does_not_show_is_in_its_bands_and_in_the_verdict(tmp_path: Path) -> None:
+    made = begin(tmp_path)
+    made.ripple = [
+        {
+            "direction": "across",
+            "period_mm": period,
+            "amplitude_nm": 0.42,
+            "rms_nm": 0.3,
+            "rms_high_nm": 0.4,
+            "on_grid": 0.4,
+        }
+        for period in (0.972, 2.0, 60.0)
+    ]
+    with closing(made.journal):
+        for cycle in (0, 1):
+            made.measure(cycle)
+            made.polish(cycle)
+        made.measure(2)
+        made.end()
+    content = drawn(made.files.run_dir).content
+    figure, middle = content.hidden_ripple[:2]
+    assert figure.rms_nm < 0.02, "the map shows a period of 60 mm"
+    shown = np.sinc(PITCH_MM / 2.0) ** 2  # of the one at 2 mm; that at 0.972 mm lies below two samples
+    assert middle.rms_nm == pytest.approx(2 * 0.3 * np.sqrt(1 + 1 - shown), rel=1e-6)
+    assert middle.rms_high_nm == pytest.approx(middle.rms_nm * 4 / 3)
+    (line,) = content.verdict.lines
+    hidden = 2 * 0.3 * np.sqrt(1 - np.sinc(PITCH_MM / 0.972) ** 2 + 1 - shown)
+    assert line.with_ripple == pytest.approx(np.hypot(line.value, hidden), rel=1e-3)
+    assert any("ripple that the map does not show" in one for one in content.uncertainty.statements)

@@ -78,6 +78,16 @@ def test_a_blend_does_not_stop_and_cuts_the_corner() -> None:
     assert min(math.dist(row[4:6], (20.0, 0.0)) for row in stops.rows) < 0.01
 
 
+def test_blended_moves_straight_on_take_their_times_and_keep_the_speed() -> None:
+    """Ten moves of 1 mm in 66 ms, which is no whole number of frames."""
+    found = machine()
+    run(found, "\n".join(f"movel({pose(at)}, a=1.2, t=0.066, r=0.0002)" for at in range(1, 11)))
+    speeds = [math.dist(a[4:7], b[4:7]) / FRAME_S for a, b in pairwise(found.rows)]
+    assert max(speeds) == pytest.approx(1.0 / 0.066, rel=1e-3)
+    assert min(speeds[20:-20]) == pytest.approx(1.0 / 0.066, rel=1e-3)
+    assert sum(row[3] for row in found.rows) == pytest.approx(10 * 0.066 + 0.0126, abs=2 * FRAME_S)
+
+
 def test_threads_run_side_by_side_and_a_killed_one_lets_the_arm_brake() -> None:
     found = machine()
     body = f"""thread go():

@@ -1,0 +1,281 @@
+// A map on a canvas: values between the samples, colour bar, axes in mm, edge of the clear aperture, path and tool.
+import { bytesOf, css, figure, tableOf, ticks } from "./colormap.js";
+import { contextOf, theme } from "./theme.js";
+
+const DECODED = new WeakMap(), PAINTED = new WeakMap();
+const LEFT = 48, BOTTOM = 38, TOP = 10, BAR = 16, BAR_SPACE = 78;
+
+const bytesOfText = (text) => Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
+
+// An answer of /map in either encoding as typed arrays: values (with no NaN beside data), known and aperture as 0 or 1.
+export function decodeMap(data) {
+  if (DECODED.has(data)) return DECODED.get(data);
+  const { nx, ny } = data, count = nx * ny;
+  const values = new Float32Array(count), known = new Uint8Array(count), aperture = new Uint8Array(count);
+  if (data.encoding === "float32") {
+    const bytes = bytesOfText(data[data.key]), view = new DataView(bytes.buffer), bits = bytesOfText(data.aperture);
+    for (let k = 0; k < count; k++) {
+      values[k] = view.getFloat32(4 * k, true);
+      aperture[k] = (bits[k >> 3] >> (7 - (k & 7))) & 1;
+    }
+  } else {
+    data[data.key].forEach((row, i) => row.forEach((value, j) => { values[i * nx + j] = value ?? NaN; aperture[i * nx + j] = value === null ? 0 : 1; }));
+  }
+  for (let k = 0; k < count; k++) known[k] = Number.isFinite(values[k]) ? 1 : 0;
+  const filled = values.slice();
+  for (let i = 0; i < ny; i++) for (let j = 0; j < nx; j++) {
+    if (known[i * nx + j]) continue;
+    let sum = 0, number = 0;
+    for (let a = Math.max(0, i - 1); a <= Math.min(ny - 1, i + 1); a++) for (let b = Math.max(0, j - 1); b <= Math.min(nx - 1, j + 1); b++) {
+      if (known[a * nx + b]) { sum += values[a * nx + b]; number++; }
+    }
+    filled[i * nx + j] = number ? sum / number : 0;
+  }
+  const found = { ...data, values, filled, known, aperture };
+  found.outline = outlineOf(found);
+  DECODED.set(data, found);
+  return found;
+}
+
+export const xOf = (map, column) => map.x0_mm + column * map.pitch_mm;
+export const yOf = (map, row) => map.y0_mm - row * map.pitch_mm;
+export const columnOf = (map, x) => (x - map.x0_mm) / map.pitch_mm;
+export const rowOf = (map, y) => (map.y0_mm - y) / map.pitch_mm;
+
+// The value between the four samples about a place in mm; null where there are no data.
+export function valueAt(map, x, y) {
+  const c = columnOf(map, x), r = rowOf(map, y), { nx, ny, filled, known } = map;
+  if (!(c > -0.5 && c < nx - 0.5 && r > -0.5 && r < ny - 0.5)) return null;
+  const j = Math.min(Math.max(Math.floor(c), 0), Math.max(nx - 2, 0)), i = Math.min(Math.max(Math.floor(r), 0), Math.max(ny - 2, 0));
+  const u = Math.min(Math.max(c - j, 0), 1), v = Math.min(Math.max(r - i, 0), 1), k = i * nx + j, right = nx > 1 ? 1 : 0, below = ny > 1 ? nx : 0;
+  const mix = (of) => (of[k] * (1 - u) + of[k + right] * u) * (1 - v) + (of[k + below] * (1 - u) + of[k + below + right] * u) * v;
+  return mix(known) >= 0.5 ? mix(filled) : null;
+}
+
+// Values along a line through a place: [position in mm, value or null, inside the clear aperture].
+export function profileOf(map, axis, at) {
+  const along = axis === "x", count = along ? map.nx : map.ny, line = [];
+  const across = along ? rowOf(map, at) : columnOf(map, at), near = Math.round(across), most = along ? map.ny : map.nx;
+  for (let k = 0; k < count; k++) {
+    const [x, y] = along ? [xOf(map, k), at] : [at, yOf(map, count - 1 - k)];
+    const i = along ? near : count - 1 - k, j = along ? k : near;
+    line.push([along ? x : y, valueAt(map, x, y), near >= 0 && near < most && map.aperture[i * map.nx + j] === 1]);
+  }
+  return line;
+}
+
+// The edge of the clear aperture as line segments in mm, half-way between a sample inside and one outside.
+function outlineOf(map) {
+  const { nx, ny, aperture } = map, segments = [];
+  const inside = (i, j) => i >= 0 && j >= 0 && i < ny && j < nx && aperture[i * nx + j] === 1;
+  for (let i = -1; i < ny; i++) for (let j = -1; j < nx; j++) {
+    const corners = [inside(i, j), inside(i, j + 1), inside(i + 1, j + 1), inside(i + 1, j)];
+    const edges = [[j + 0.5, i], [j + 1, i + 0.5], [j + 0.5, i + 1], [j, i + 0.5]].filter((_, k) => corners[k] !== corners[(k + 1) % 4]);
+    const saddle = edges.length === 4 && corners[0];
+    const order = saddle ? [0, 1, 2, 3] : [0, 3, 1, 2];
+    for (let k = 0; k + 1 < edges.length; k += 2) {
+      const [a, b] = edges.length === 4 ? [edges[order[k]], edges[order[k + 1]]] : edges;
+      segments.push([xOf(map, a[0]), yOf(map, a[1]), xOf(map, b[0]), yOf(map, b[1])]);
+    }
+  }
+  return segments;
+}
+
+// What the whole map takes, in mm: [left, bottom, right, top].
+export function extentOf(map) {
+  const half = map.pitch_mm / 2;
+  return [map.x0_mm - half, yOf(map, map.ny - 1) - half, xOf(map, map.nx - 1) + half, map.y0_mm + half];
+}
+
+// The view of a whole map in a plot of that size.
+export function wholeView(map, plot) {
+  const [left, bottom, right, top] = extentOf(map);
+  return { x: (left + right) / 2, y: (bottom + top) / 2, mmPerPx: Math.max((right - left) / plot.w, (top - bottom) / plot.h) * 1.02 };
+}
+
+/* Draws a map and returns its geometry: the plot's rectangle, toPx(x, y), toMm(px, py), the view and the scale.
+ *
+ * data: an answer of /api/jobs/J/cycles/C/map/KIND. options, all optional:
+ *   compact    no axes and no colour bar: a thumbnail
+ *   colours    name of a table of colormap.js; else by the kind of the map
+ *   scale      [low, high] where the colours end; else the answer's
+ *   smooth     false: the samples themselves
+ *   outside    "dim" (default), "hide" or "show" what lies outside the clear aperture
+ *   outline    false: no edge of the clear aperture
+ *   path       { x_mm, y_mm } as a thin line
+ *   tool       [x, y] mm: a ring
+ *   view       { x, y, mmPerPx } of the middle; else the whole map
+ *   cursor     [x, y] mm: crosshair
+ *   label      the canvas' text for screen readers
+ */
+export function drawHeightMap(canvas, data, options = {}) {
+  const map = decodeMap(data), ink = theme(canvas), { g, width, height, dpr } = contextOf(canvas);
+  const { compact = false, colours = tableOf(map.signed), scale = map.scale, outside = "dim" } = options;
+  const plot = compact ? { x: 0, y: 0, w: width, h: height } : { x: LEFT, y: TOP, w: Math.max(20, width - LEFT - BAR_SPACE), h: Math.max(20, height - TOP - BOTTOM) };
+  const view = options.view ?? wholeView(map, plot);
+  const toPx = (x, y) => [plot.x + plot.w / 2 + (x - view.x) / view.mmPerPx, plot.y + plot.h / 2 - (y - view.y) / view.mmPerPx];
+  const toMm = (px, py) => [view.x + (px - plot.x - plot.w / 2) * view.mmPerPx, view.y - (py - plot.y - plot.h / 2) * view.mmPerPx];
+  const picture = painted(canvas, map, { colours, scale, outside, smooth: options.smooth !== false, view, plot, dpr });
+  g.drawImage(picture, plot.x, plot.y, plot.w, plot.h);
+  g.save();
+  g.beginPath();
+  g.rect(plot.x, plot.y, plot.w, plot.h);
+  g.clip();
+  if (options.outline !== false) strokeSegments(g, map.outline, toPx, ink.text);
+  if (options.path) strokePath(g, options.path, toPx);
+  if (options.cursor) crosshair(g, plot, toPx(...options.cursor));
+  if (options.tool) ring(g, toPx(...options.tool));
+  g.restore();
+  if (!compact) {
+    axes(g, plot, toMm, ink);
+    colourBar(g, { x: plot.x + plot.w + 14, y: plot.y, w: BAR, h: plot.h }, map, colours, scale, ink);
+  }
+  if (options.label) canvas.setAttribute("aria-label", options.label);
+  return { plot, view, scale, colours, toPx, toMm, map };
+}
+
+// The picture of the values alone, kept until something of it changes: a moved cursor paints nothing anew.
+function painted(canvas, map, how) {
+  const { view, plot, dpr, scale, outside } = how;
+  const key = JSON.stringify([how.colours, scale, outside, how.smooth, view, plot, dpr]);
+  const kept = PAINTED.get(canvas);
+  if (kept?.map === map && kept.key === key) return kept.picture;
+  const picture = kept?.picture ?? document.createElement("canvas");
+  const w = Math.max(1, Math.round(plot.w * dpr)), h = Math.max(1, Math.round(plot.h * dpr));
+  picture.width = w;
+  picture.height = h;
+  const image = new ImageData(w, h), out = image.data, table = bytesOf(how.colours);
+  const { nx, ny, filled, known, aperture } = map, per = (view.mmPerPx * (plot.w / w)) / map.pitch_mm;
+  const left = columnOf(map, view.x) - (w / 2 - 0.5) * per, top = rowOf(map, view.y) - (h / 2 - 0.5) * per;
+  const span = 1023 / (scale[1] - scale[0] || 1), faint = outside === "hide" ? 0 : outside === "dim" ? 70 : 255;
+  for (let py = 0; py < h; py++) {
+    const r = top + py * per;
+    if (r <= -0.5 || r >= ny - 0.5) continue;
+    const i = Math.min(Math.max(Math.floor(r), 0), Math.max(ny - 2, 0)), v = how.smooth ? Math.min(Math.max(r - i, 0), 1) : Math.round(Math.min(Math.max(r - i, 0), 1));
+    const below = ny > 1 ? nx : 0;
+    for (let px = 0; px < w; px++) {
+      const c = left + px * per;
+      if (c <= -0.5 || c >= nx - 0.5) continue;
+      const j = Math.min(Math.max(Math.floor(c), 0), Math.max(nx - 2, 0)), u = how.smooth ? Math.min(Math.max(c - j, 0), 1) : Math.round(Math.min(Math.max(c - j, 0), 1));
+      const k = i * nx + j, right = nx > 1 ? 1 : 0, a = (1 - u) * (1 - v), b = u * (1 - v), d = (1 - u) * v, e = u * v;
+      if (known[k] * a + known[k + right] * b + known[k + below] * d + known[k + below + right] * e < 0.5) continue;
+      const value = filled[k] * a + filled[k + right] * b + filled[k + below] * d + filled[k + below + right] * e;
+      const inner = aperture[k] * a + aperture[k + right] * b + aperture[k + below] * d + aperture[k + below + right] * e >= 0.5;
+      const t = 3 * Math.min(Math.max(Math.round((value - scale[0]) * span), 0), 1023), o = 4 * (py * w + px);
+      out[o] = table[t];
+      out[o + 1] = table[t + 1];
+      out[o + 2] = table[t + 2];
+      out[o + 3] = inner ? 255 : faint;
+    }
+  }
+  picture.getContext("2d").putImageData(image, 0, 0);
+  PAINTED.set(canvas, { map, key, picture });
+  return picture;
+}
+
+function strokeSegments(g, segments, toPx, colour) {
+  g.strokeStyle = colour;
+  g.lineWidth = 1.25;
+  g.beginPath();
+  for (const [ax, ay, bx, by] of segments) { g.moveTo(...toPx(ax, ay)); g.lineTo(...toPx(bx, by)); }
+  g.stroke();
+}
+
+function strokePath(g, path, toPx) {
+  g.beginPath();
+  for (let k = 0; k < path.x_mm.length; k++) g.lineTo(...toPx(path.x_mm[k], path.y_mm[k]));
+  g.lineJoin = "round";
+  for (const [colour, wide] of [["rgb(255 255 255 / .5)", 1.6], ["rgb(0 0 0 / .65)", 0.6]]) { g.strokeStyle = colour; g.lineWidth = wide; g.stroke(); }
+}
+
+function crosshair(g, plot, [x, y]) {
+  const gap = 7, lines = [[plot.x, y, x - gap, y], [x + gap, y, plot.x + plot.w, y], [x, plot.y, x, y - gap], [x, y + gap, x, plot.y + plot.h]];
+  for (const [colour, wide] of [["rgb(255 255 255 / .75)", 3], ["#111", 1]]) {
+    g.strokeStyle = colour;
+    g.lineWidth = wide;
+    g.beginPath();
+    for (const [ax, ay, bx, by] of lines) { g.moveTo(ax, ay); g.lineTo(bx, by); }
+    g.stroke();
+    g.beginPath();
+    g.arc(x, y, gap - 3, 0, 7);
+    g.stroke();
+  }
+}
+
+export function ring(g, [x, y], radius = 9) {
+  for (const [colour, wide] of [["#fff", 5], ["#111", 2.5]]) {
+    g.strokeStyle = colour;
+    g.lineWidth = wide;
+    g.beginPath();
+    g.arc(x, y, radius, 0, 7);
+    g.stroke();
+  }
+}
+
+function axes(g, plot, toMm, ink) {
+  g.strokeStyle = ink.line;
+  g.lineWidth = 1;
+  g.strokeRect(plot.x + 0.5, plot.y + 0.5, plot.w - 1, plot.h - 1);
+  g.fillStyle = ink.muted;
+  g.strokeStyle = ink.muted;
+  const [left, bottom] = toMm(plot.x, plot.y + plot.h), [right, top] = toMm(plot.x + plot.w, plot.y);
+  const xs = ticks(left, right, plot.w / 70), ys = ticks(bottom, top, plot.h / 55);
+  g.textAlign = "center";
+  g.textBaseline = "top";
+  g.beginPath();
+  for (const x of xs.values) {
+    const px = plot.x + ((x - left) / (right - left)) * plot.w;
+    g.moveTo(px, plot.y + plot.h); g.lineTo(px, plot.y + plot.h + 4);
+    g.fillText(figure(x, xs.digits), px, plot.y + plot.h + 6);
+  }
+  g.fillText("x, mm", plot.x + plot.w / 2, plot.y + plot.h + 22);
+  g.textAlign = "right";
+  g.textBaseline = "middle";
+  for (const y of ys.values) {
+    const py = plot.y + plot.h - ((y - bottom) / (top - bottom)) * plot.h;
+    g.moveTo(plot.x, py); g.lineTo(plot.x - 4, py);
+    g.fillText(figure(y, ys.digits), plot.x - 6, py);
+  }
+  g.stroke();
+  g.save();
+  g.translate(10, plot.y + plot.h / 2);
+  g.rotate(-Math.PI / 2);
+  g.textAlign = "center";
+  g.fillText("y, mm", 0, 0);
+  g.restore();
+}
+
+// The colour bar with its ticks; an end is pointed where values lie beyond it, as in the reports.
+export function colourBar(g, box, map, colours, scale, ink) {
+  const tip = 9, over = map.high > scale[1] * (1 + 1e-9) + 1e-12, under = map.low < scale[0] * (1 - Math.sign(scale[0]) * 1e-9) - 1e-12;
+  const top = box.y + tip, h = box.h - 2 * tip;
+  const shade = g.createLinearGradient(0, top + h, 0, top);
+  for (let k = 0; k <= 32; k++) shade.addColorStop(k / 32, css(colours, k / 32));
+  g.fillStyle = shade;
+  g.fillRect(box.x, top, box.w, h);
+  const point = (y, away, t) => {
+    g.fillStyle = css(colours, t);
+    g.beginPath();
+    g.moveTo(box.x, y); g.lineTo(box.x + box.w, y); g.lineTo(box.x + box.w / 2, away);
+    g.fill();
+  };
+  if (over) point(top + 0.5, box.y, 1);
+  if (under) point(top + h - 0.5, box.y + box.h, 0);
+  g.strokeStyle = ink.line;
+  g.lineWidth = 1;
+  g.strokeRect(box.x + 0.5, top + 0.5, box.w - 1, h - 1);
+  const { values, digits } = ticks(scale[0], scale[1], h / 45);
+  g.fillStyle = g.strokeStyle = ink.muted;
+  g.textAlign = "left";
+  g.textBaseline = "middle";
+  g.beginPath();
+  for (const value of values) {
+    const y = top + h * (1 - (value - scale[0]) / (scale[1] - scale[0]));
+    g.moveTo(box.x + box.w, y); g.lineTo(box.x + box.w + 4, y);
+    g.fillText(figure(value, digits), box.x + box.w + 7, y);
+  }
+  g.stroke();
+  g.textAlign = "right";
+  g.textBaseline = "top";
+  if (map.unit) g.fillText(map.unit, box.x + box.w + 60, box.y + box.h + 6);
+}

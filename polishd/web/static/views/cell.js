@@ -1,0 +1,101 @@
+// The cell: the robot as a stick figure, the part, the path coloured by dwell, and where the tool is.
+import { Camera } from "../maps/camera.js";
+import { figure } from "../maps/colormap.js";
+import { box, made } from "../dom.js";
+import { canvas, choice, facts, select, toggle } from "../maps/elements.js";
+import { drawCell, drawLegend, intoHall, jointsAt, sceneOf } from "../maps/stick_figure.js";
+import { onChange } from "../maps/theme.js";
+
+const VIEWS = { free: [-0.65, 0.42], top: [0, Math.PI / 2], side: [-Math.PI / 2, 0], front: [0, 0] };
+
+export const styles = ["/maps/maps.css"];
+
+export function mount(root, ctx) {
+  const texts = ctx.texts.cellView, now = { cycle: null, follow: true, k: 0, block: 0 }, known = { cell: null, why: "", asked: 0 };
+  let ended = false;
+
+  // elements
+  const view = box("div", "m-view m-cell"), main = box("div", "m-main"), side = box("div", "m-side"), head = box("div", "m-head"), stage = box("div", "m-stage");
+  const message = box("p", "m-message"), problem = box("p", "m-note m-warn"), note = box("p", "m-note"), picture = canvas(texts.canvas), bar = canvas(texts.colour);
+  picture.tabIndex = 0;
+  picture.setAttribute("role", "application");
+  message.setAttribute("role", "status");
+  const views = choice(texts.view, texts.views, "free", (name) => camera.look(...VIEWS[name]));
+  const cycles = select(texts.pass, {}, "", (cycle) => { now.cycle = Number(cycle); load(); });
+  const follow = toggle(texts.follow, true, (on) => { now.follow = on; show(); });
+  const point = box("label", "m-field"), slider = made("input"), card = box("section", "m-card"), numbers = facts(texts.shown), legend = box("section", "m-card");
+  Object.assign(slider, { type: "range", min: "0", step: "1" });
+  point.append(made("span", texts.point), slider);
+  slider.addEventListener("input", () => { now.follow = false; follow.querySelector("input").checked = false; now.k = Number(slider.value); show(); });
+  bar.style.height = "38px";
+  bar.style.width = "100%";
+  legend.append(made("h3", texts.colour), bar);
+  card.append(cycles, follow, point);
+  stage.append(picture);
+  head.append(views);
+  main.append(head, message, stage, problem, note);
+  side.append(card, numbers, legend);
+  view.append(main, side);
+  root.replaceChildren(view);
+  const camera = new Camera(picture, { yaw: VIEWS.free[0], pitch: VIEWS.free[1], radius: 1000, onMove: () => { views.choose(matching()); show(); } });
+
+  const matching = () => Object.entries(VIEWS).find(([, [yaw, pitch]]) => Math.abs(camera.yaw - yaw) < 1e-6 && Math.abs(camera.pitch - pitch) < 1e-6)?.[0] ?? "free";
+
+  // data
+  async function load() {
+    const turn = ++known.asked, list = (ctx.cycles() ?? []).filter((one) => one.run);
+    if (list.length && !list.some((one) => one.cycle === now.cycle)) now.cycle = list.at(-1).cycle;
+    cycles.fill(Object.fromEntries(list.map((one) => [one.cycle, String(one.cycle + 1)])), now.cycle);
+    const found = list.length ? await ctx.ask("GET", `/api/jobs/${ctx.job()}/cycles/${now.cycle}/cell`) : { status: 404, error: texts.noPlan };
+    if (ended || turn !== known.asked) return;
+    const before = known.cell?.robot;
+    known.cell = found.status === 200 ? found : null;
+    known.why = found.status === 200 ? "" : found.error;
+    if (known.cell) {
+      known.hall = intoHall(known.cell.up);
+      known.scene = sceneOf(known.cell, known.hall);
+      const sorted = known.cell.path.dwell_s.slice().sort((a, b) => a - b);
+      known.limits = [sorted[0], Math.max(sorted[Math.floor(sorted.length * 0.995)] ?? sorted[0], sorted[0] + 1e-9)];
+      slider.max = String(known.cell.path.block.length - 1);
+      camera.center = known.scene.center;
+      camera.radius = known.scene.radius;
+      if (before !== known.cell.robot) camera.look(...VIEWS.free);
+    }
+    for (const one of [stage, note, head, numbers, legend, follow, point]) one.hidden = !known.cell;
+    message.hidden = Boolean(known.cell);
+    message.textContent = known.why;
+    problem.textContent = known.cell?.problem ?? "";
+    problem.hidden = !known.cell?.problem;
+    note.textContent = `${texts.nominal} ${texts.keys}`;
+    show();
+  }
+
+  // The block that the robot has executed, while this pass runs; else null.
+  function running() {
+    const live = ctx.state()?.live, block = live?.readings?.robot?.executed;
+    return live?.phase === "run" && live.cycle === now.cycle && Number.isFinite(block) && ctx.state().daemon === "up" ? { block, touching: Boolean(live.pressing) } : null;
+  }
+
+  function show() {
+    if (ended || !known.cell || !stage.clientWidth) return;
+    const { cell } = known, runs = running(), live = now.follow ? runs : null, last = cell.path.block.length - 1;
+    if (live) {
+      const k = cell.path.block.findIndex((one) => one >= live.block);
+      now.k = k < 0 ? last : k;
+    }
+    now.k = Math.min(now.k, last);
+    slider.value = String(now.k);
+    const block = cell.path.block[now.k], tip = cell.path.mm[now.k];
+    slider.setAttribute("aria-valuetext", `${texts.block} ${block}`);
+    drawCell(picture, { ...known, camera, joints: jointsAt(cell.poses, block), k: now.k, touching: Boolean(live?.touching) });
+    drawLegend(bar, known.limits, "s");
+    numbers.show([
+      [texts.robot, texts.robots[cell.robot] ?? cell.robot], [texts.block, String(block)], [texts.tip, tip.map((value) => figure(value, 1)).join("  ") + " mm"],
+      [texts.state, runs ? (runs.touching ? texts.on : texts.off) : texts.notRunning],
+    ]);
+  }
+
+  const end = onChange([picture, bar], show);
+  load();
+  return { update() { if (now.follow && running()) show(); }, refresh: load, unmount() { ended = true; end(); root.replaceChildren(); } };
+}
