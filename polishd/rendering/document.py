@@ -139,7 +139,7 @@ def html(document: ReportDocument) -> str:
 
 WIDTH_IN, HEIGHT_IN = 8.27, 11.69
 MARGIN_IN = (WIDTH_IN - PAGE_IN) / 2
-TEXT_PT, SMALL_PT = 9.0, 8.0
+TEXT_PT, SMALL_PT = 8.5, 8.0
 """Size of the text, and of notes, captions, header and footer."""
 SPACING = 1.36
 """Height of a line over the size of its text."""
@@ -364,16 +364,21 @@ def _widest(texts: Sequence[str]) -> float:
 
 
 def _column_widths(rows: Sequence[Sequence[str]]) -> list[float]:
-    """Width of each column by its longest text; the widest columns are narrowed until all fit on the page."""
-    widths = [_widest([row[column] for row in rows]) + 0.01 for column in range(len(rows[0]))]
-    while (over := sum(widths) + GAP_IN * (len(widths) - 1) - PAGE_IN) > 1e-9:
-        widest = max(widths)
-        if widest <= NARROWEST_IN:
-            break
-        wide = [at for at, width in enumerate(widths) if width == widest]
-        others = max((width for width in widths if width < widest), default=0.0)
-        for at in wide:
-            widths[at] = max(widest - over / len(wide), others, NARROWEST_IN)
+    """Width of each column by its longest text; the widest columns are narrowed until all fit on the page.
+
+    A column keeps its longest word in one line as long as others can be narrowed.
+    """
+    columns = [[row[column] for row in rows] for column in range(len(rows[0]))]
+    widths = [_widest(column) + 0.01 for column in columns]
+    words = [_widest([word for text in column for word in text.split()]) + 0.01 for column in columns]
+    for least in (words, [NARROWEST_IN] * len(widths)):
+        while (over := sum(widths) + GAP_IN * (len(widths) - 1) - PAGE_IN) > 1e-9:
+            some = [at for at, width in enumerate(widths) if width > least[at] + 1e-6]
+            if not some:
+                break
+            widest = max(some, key=widths.__getitem__)
+            others = max((width for width in widths if width < widths[widest]), default=0.0)
+            widths[widest] = max(widths[widest] - over, others - 0.05, least[widest])
     return widths
 
 

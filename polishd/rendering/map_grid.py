@@ -14,7 +14,7 @@ from polishd.rendering.map_plots import color_bar, height_map
 from polishd.rendering.plots import PAGE_IN, add_panel, page_figure
 
 COLUMNS = 3
-LEFT_IN, GAP_IN, RIGHT_IN = 0.58, 0.16, 0.14
+LEFT_IN, GAP_IN, RIGHT_IN = 0.58, 0.32, 0.16
 """Room for the labels of y, between two panels, and for half of the last label of x."""
 TITLE_IN, LABELS_IN, BAR_IN = 0.42, 0.46, 0.54
 """Room for two lines of title above a panel, for the labels of x below it, and for the color bar below those."""

@@ -333,12 +333,13 @@ def path_map(
     ``percentile``: of the values at which the colors end. ``bar``: panel of the color bar; None: beside the map.
     """
     x, y = position_mm[:, 0], position_mm[:, 1]
+    panel_pt = 175.0 if bar is None else min(ax.bbox.size) * 72 / ax.figure.dpi
     low, high = value_limits(values, percentile)
     points = ax.scatter(
         x,
         y,
         c=values,
-        s=_marker_area(position_mm),
+        s=_marker_area(position_mm, panel_pt),
         marker="s",
         linewidths=0,
         cmap=SEQUENTIAL,
@@ -352,8 +353,8 @@ def path_map(
     color_bar([points], unit, bar)
 
 
-def _marker_area(position_mm: FloatArray, panel_pt: float = 175.0) -> float:
-    """Area of a marker, in square points, with which the points just fill the part."""
+def _marker_area(position_mm: FloatArray, panel_pt: float) -> float:
+    """Area of a marker, in square points, with which the points just fill the part in a panel of that side."""
     span = np.ptp(position_mm[:, :2], axis=0)
     side = max(float(span.max()), 1e-9)
     spacing = math.sqrt(max(float(span[0] * span[1]), 1e-9) / max(len(position_mm), 1))

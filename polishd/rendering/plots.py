@@ -79,7 +79,7 @@ def polishd_style() -> Iterator[None]:
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure outside the global state of matplotlib, which arranges its panels by itself."""
+    """Return an empty figure outside the global state of matplotlib. matplotlib arranges its panels."""
     fig = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
     FigureCanvasAgg(fig)
     return fig

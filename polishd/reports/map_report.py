@@ -33,6 +33,7 @@ from polishd.rendering.document import (
     html,
     pdf,
 )
+from polishd.rendering.map_grid import LOWEST_IN, SLENDER
 from polishd.rendering.map_plots import Spectrum, color_bar, height_map, histogram, profiles, value_map
 from polishd.rendering.plots import BLUE, INK, ORANGE, PAGE_IN, add_panel, page_figure, png, polishd_style
 from polishd.rendering.scales import PERCENTILE, height_limit
@@ -124,13 +125,12 @@ def heights_picture(data: MapReportData) -> Picture:
     """Draw the level map with its peak and valley, and the profiles through them along x and y."""
     caption = (
         "Piston and tilt removed; red is high. Marked: peak (triangle up) and valley (triangle down). The dashed lines "
-        "are the profiles on the right. Gray: no data, or outside the mask."
+        "are the profiles in the charts. Gray: no data, or outside the mask."
     )
     answer, unit = data.answer, data.answer["place_unit"]
     level = data.figured.level_nm
     with polishd_style():
-        page = page_figure(3.0)
-        ax, bar = _map_and_bar(page)
+        page, ax, bar, charts = _heights_panels(level.shape)
         image = height_map(ax, level, data.figured.surface.pitch_mm, "", limit_nm=height_limit(level, 100.0), bar=False)
         color_bar([image], "height, nm", bar)
         for name, color in MARK_COLORS.items():
@@ -138,9 +138,7 @@ def heights_picture(data: MapReportData) -> Picture:
             ax.axhline(mark["y"], color=color, linewidth=0.7, linestyle="--")
             ax.axvline(mark["x"], color=color, linewidth=0.7, linestyle="--")
             ax.plot(mark["x"], mark["y"], MARKS[name], color=color, markeredgecolor=INK, markersize=7)
-        for row, along in enumerate("yx"):
-            chart_in = PAGE_IN - CHART_IN - RIGHT_IN
-            chart = add_panel(page, CHART_IN, BOTTOM_IN + row * 1.28, chart_in, SIDE_IN - 1.28)
+        for chart, along in zip(charts, "xy", strict=True):
             lines = {
                 f"through the {line['through']}": (line["place"], np.array(line["nm"], dtype=np.float64))
                 for line in answer["profiles"]
@@ -151,6 +149,22 @@ def heights_picture(data: MapReportData) -> Picture:
             for name, color in MARK_COLORS.items():
                 chart.plot(answer[name][along], answer[name]["nm"], MARKS[name], color=color)
         return Picture("heights", caption, png(page))
+
+
+def _heights_panels(shape: tuple[int, ...]) -> tuple[Figure, Axes, Axes, list[Axes]]:
+    """Return a page with the panels of a map, its color bar, and two charts: below the map of a slender part."""
+    aspect = shape[0] / shape[1]
+    if aspect >= SLENDER:
+        page = page_figure(3.0)
+        chart_in = PAGE_IN - CHART_IN - RIGHT_IN, SIDE_IN - 1.28
+        charts = [add_panel(page, CHART_IN, BOTTOM_IN + lift_in, *chart_in) for lift_in in (1.28, 0.0)]
+        return page, *_map_and_bar(page), charts
+    wide_in = PAGE_IN - LEFT_IN - RIGHT_IN
+    high_in = max(wide_in * aspect, LOWEST_IN)
+    page = page_figure(high_in + 2.8)
+    charts = [add_panel(page, left_in, BOTTOM_IN, 2.6, 1.1) for left_in in (LEFT_IN, CHART_IN - RIGHT_IN)]
+    bar = add_panel(page, LEFT_IN, 2.1, wide_in, 0.1)
+    return page, add_panel(page, LEFT_IN, 2.7, wide_in, high_in), bar, charts
 
 
 def _map_and_bar(page: Figure) -> tuple[Axes, Axes]:
@@ -255,7 +269,7 @@ def _verdict(answer: Mapping[str, Any]) -> Verdict | None:
         return None
     held = sum(line["holds"] for line in lines)
     within = answer["within"]
-    words = f"{'in' if within else 'not in'} tolerance: {held} of {len(lines)} lines hold"
+    words = f"{'In' if within else 'Not in'} tolerance: {held} of {len(lines)} lines hold"
     return Verdict("good" if within else "bad", words)
 
 

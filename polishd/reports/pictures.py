@@ -33,7 +33,7 @@ CONVERGENCE_CAPTION = (
 )
 SPECTRA_CAPTION = (
     "Radially averaged two-dimensional PSD over the clear aperture. Straight lines: limits of the drawing. Dotted: "
-    "periods of the path's ripple, as far as the map shows them."
+    "periods of the path's ripple. A ripple shorter than two samples appears at a longer period."
 )
 
 
@@ -54,7 +54,7 @@ class NamedMap(NamedTuple):
 
     @property
     def limit_nm(self) -> float:
-        """End of its own color scale."""
+        """End of the map's color scale."""
         return height_limit(np.where(self.clear, self.height_nm, np.nan))
 
 
@@ -98,17 +98,17 @@ def spectra_figure(
         ripple_mm: periods of the path's ripple.
     """
     shades = mpl.colormaps["Blues"](np.linspace(0.4, 0.8, max(len(curves) - 2, 0)))
-    fig, ax = chart(3.0, 0.5)
+    fig, ax = chart(2.8, 0.46)
     spectrum(ax, curves, "", colors=[*([MUTED] if len(curves) > 1 else ()), *shades, BLUE])
     for line in limits:
         ends = np.array([1 / (line["below_mm"] or math.inf), 1 / line["above_mm"]])
         label = f"limit {line['limit']:g}" + (f" / f^{line['exponent']:g}" if line["exponent"] else "")
         ax.plot(ends, line["limit"] / ends ** line["exponent"], color=ORANGE, linewidth=1.8, label=label)
-    low, high = ax.get_xlim()
-    shown = sorted({round(period, 3) for period in ripple_mm if period > 0 and low < 1 / period < high}, reverse=True)
+    highest = max((float(np.max(curve.frequency_per_mm)) for curve in curves.values()), default=0.0)
+    shown = sorted({round(period, 3) for period in ripple_mm if period * highest >= 1}, reverse=True)
     for at, period in enumerate(shown):
         name = f"ripple, {', '.join(f'{one:.2f}' for one in shown)} mm" if at == 0 else None
         ax.axvline(1 / period, color=ORANGE, linestyle=":", linewidth=1.2, label=name)
     if len(ax.get_legend_handles_labels()[1]) > 1:
-        ax.legend(loc="lower left")
+        ax.legend(loc="upper right")
     return fig

@@ -63,8 +63,8 @@ def compliance_picture(plan: Arrays) -> Figure:
     """Compliance of the robot and depth ratio: over the part, and along the path."""
     fig = page_figure(2 * ROW_IN)
     rows = (
-        ("gamma", "Depth ratio gamma (1 = rigid robot)", "gamma", GREEN),
-        ("compliance_um_per_n", "Linear equivalent compliance", "µm/N", BLUE),
+        ("gamma", "Depth ratio (1 = rigid)", "gamma", GREEN),
+        ("compliance_um_per_n", "Compliance, linearized", "µm/N", BLUE),
     )
     for row, (key, title, label, color) in enumerate(rows):
         values = np.asarray(plan[key], dtype=np.float64)

@@ -54,7 +54,7 @@ class ReportSurface:
         return float(inside.std()) if inside.size else math.nan
 
     def named(self, name: str, height_nm: FloatArray | None = None, rms_nm: float = math.nan) -> NamedMap:
-        """Return this map, or another on its grid, for a picture. ``rms_nm``: of its own samples; NaN: of the grid."""
+        """Return this map, or another on its grid, for a picture, with the RMS ``rms_nm``; NaN: that of the grid."""
         rms_nm = self.rms_nm(height_nm) if math.isnan(rms_nm) else rms_nm
         return NamedMap(name, self.levelled(height_nm), self.metric_mask, rms_nm)
 

@@ -82,9 +82,7 @@ CERTIFICATE: Mapping[str, str] = {
 
 PAGE = "report.html"
 PICTURES = "pictures"
-GRID_NOTE = (
-    "Maps and their RMS here are averaged onto the process grid; the tables have those of the map's own samples."
-)
+GRID_NOTE = "The maps are averaged onto the process grid; the RMS is that of the samples in a map's file."
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +263,8 @@ def front_sections(folder: RunFolderReader, album: Album) -> list[DocumentSectio
             for index, surface in some
         ]
         album.add("maps", f"{caption} {GRID_NOTE}", lambda: pictures.maps_figure(maps, some[0][1].pitch_mm))
-    maps_section = DocumentSection("Before and after", pictures=album.take())
+    title = "Before and after" if folder.planned or len(surfaces) > 1 else "The map"
+    maps_section = DocumentSection(title, pictures=album.take())
     if len(rows) > 1:
         limit_nm = folder.summary.get("tolerance_nm") or wording.rms_limit(wording.results(rows[-1]))
         period = folder.summary.get("tolerance_period_mm") or 0.0

@@ -126,26 +126,28 @@ def requirement(
     """
     if not last:
         return
-    first = {one.what: _value(one, f"{before_key}.{at}") for at, one in enumerate(before)}
+    first = {one.what: _value(one.value, f"{before_key}.{at}.value") for at, one in enumerate(before)}
+    rippled = any(one.ripple_words for one in last)
     rows = [
         (
             symbols(one.what),
             symbols(one.unit),
             ReportValue(f"{one.limit:g}", f"{key}.{at}.limit", one.limit),
             *((first.get(one.what, DASH),) if before else ()),
-            _value(one, f"{key}.{at}"),
+            _value(one.value, f"{key}.{at}.value"),
+            *((_value(one.with_ripple, f"{key}.{at}.with_ripple"),) if rippled else ()),
             _uncertainty(one, f"{key}.{at}"),
             "undecided, " * one.unsure + ("pass" if one.holds else "fail"),
         )
         for at, one in enumerate(last)
     ]
-    measured = ("before", "after") if before else ("measured",)
+    measured = (*(("before", "after") if before else ("measured",)), *(("with ripple",) if rippled else ()))
     table = Table(("requirement", "unit", "limit", *measured, "±, or bound", "result"), rows)
     yield DocumentSection("Requirement and result", [table], list(_requirement_notes(last)))
 
 
-def _value(one: LineResult, key: str) -> ReportValue:
-    return ReportValue(f"{one.value:.4g}", f"{key}.value", one.value)
+def _value(value: float | None, key: str) -> Cell:
+    return DASH if value is None else ReportValue(f"{value:.4g}", key, value)
 
 
 def _uncertainty(one: LineResult, key: str) -> Cell:
@@ -164,9 +166,8 @@ def _requirement_notes(last: Sequence[LineResult]) -> Iterator[str]:
     for one in last:
         if one.bound is not None:
             yield f"{symbols(one.what)}: {symbols(one.bound_words)}; judged by this bound."
-    for one in last:
-        if one.bound is None and one.ripple_words:
-            yield f"{symbols(one.what)}, {symbols(one.unit)}: {one.ripple_words}; judged with it."
+    if any(one.ripple_words for one in last):
+        yield "With ripple: with the forecast ripple of the path that the map does not show. It decides."
     if any(one.unsure for one in last):
         yield "Undecided: the limit lies within the uncertainty, and either result is possible."
 
@@ -239,22 +240,23 @@ def ripple(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def ripple_section(rows: Rows) -> Iterator[DocumentSection]:
-    """Yield the harmonics that each pass adds, and their sum; nothing without a forecast."""
+    """Yield the ripple that each pass adds, by line and in sum; nothing without a forecast."""
     keys = ("period_mm", "amplitude_nm", "rms_nm", "rms_high_nm")
     cells: list[tuple[str, ...]] = []
-    for index, row in enumerate(rows):
-        lines = ripple(row)
+    for index, lines in [(index, ripple(row)) for index, row in enumerate(rows) if ripple(row)]:
         name = pass_after(rows, index)
-        cells += [
-            (name, plain(one.get("direction")), *(figure(one.get(key), ".2f") or DASH for key in keys)) for one in lines
-        ]
-        if lines:
-            values = [[number(one, key) for one in lines] for key in keys[2:]]
-            whole = [f"{math.hypot(*(value for value in some if value > 0)):.2f}" for some in values]
-            cells.append((name, "all", "", "", *whole))
+        for one in lines:
+            cause = text(one.get("cause")).replace("_", " ") or "path"
+            figures = [figure(one.get(key), ".2f") or DASH for key in keys]
+            cells.append((name, f"{plain(one.get('direction'))}, {cause}", *figures))
+        values = [[number(one, key) for one in lines] for key in keys[2:]]
+        whole = [f"{math.hypot(*(value for value in some if value > 0)):.2f}" for some in values]
+        cells.append((name, "all", "", "", *whole))
     if cells:
-        head = ("pass", "direction", "period, mm", "amplitude, nm", "RMS, nm", "RMS, nm, spot's radius off")
-        note = "Forecast of what the lines of the path leave. The last column is for a spot whose radius is off by 3 %."
+        head = ("pass", "direction, cause", "period, mm", "amplitude, nm", "RMS, nm", "at most (95 %), nm")
+        note = (
+            "Forecast of what the path leaves. The 95 % value contains errors of spot radius, line positions and lag."
+        )
         yield DocumentSection("Ripple that the path adds", [Table(head, cells)], [note])
 
 

@@ -248,7 +248,7 @@ def _of_lines(judged: tuple[LineResult, ...]) -> Iterator[str]:
             yield f"{one.what}: {sigma}. The limit lies within the uncertainty: either verdict is possible."
     plain = [one.what for one in judged if one.bound is None and one.uncertainty is None]
     if plain:
-        yield f"LineResult as measured, with unknown uncertainty: {', '.join(plain)}."
+        yield f"Judged as measured, with unknown uncertainty: {', '.join(plain)}."
     for one in judged:
         if one.ripple_words:
             yield f"{one.what}: {one.value:.3g} {one.unit} measured, {one.ripple_words}; judged with it."

@@ -101,7 +101,7 @@ def certificate_document(drawn: CertificateDraft, signed_by: str) -> ReportDocum
             _front(drawn, signed_by),
             _figures(drawn),
             *_surface(drawn),
-            _making(content),
+            _making(drawn),
             _proofs(content, signed_by),
         ]
     return ReportDocument(
@@ -175,14 +175,12 @@ def _requirement(content: Content) -> Iterator[DocumentSection]:
 
 
 def _figures(drawn: CertificateDraft) -> Chapter:
-    """Return the page with the figures, their uncertainty, the spectra, and the ripple of the last pass."""
+    """Return the page with the figures, the ripple that the map does not show, their uncertainty, and the spectra."""
     content = drawn.content
     parts = [
         _changes(content),
         DocumentSection("Uncertainty", notes=content.uncertainty.statements),
         _section("Power spectra", "spectra", pictures.SPECTRA_CAPTION, _spectra(drawn)),
-        *wording.ripple_section(drawn.run.folder.rows()),
-        *_reach(content),
     ]
     return Chapter("Figures", [], _filled(parts))
 
@@ -203,12 +201,23 @@ def _changes(content: Content) -> DocumentSection:
         (one.figure, f"{one.before_nm:.3f}", f"{one.after_nm:.3f}", _percent(one.change)) for one in content.changes
     ]
     notes = [content.aperture.words]
+    if content.after is not None and content.after.iso10110 is not None:
+        notes.append(f"After, in the notation of ISO 10110-5:2015, nm of surface: {content.after.iso10110.indication}")
     bands = [] if content.after is None else content.after.bands or []
     if any(band.soft and band.rms_nm is not None for band in bands):
         notes.append(
             "Fewer than three of the longest periods of a band fit on this part. The division at this period then "
             "depends on how the map is continued beyond its edge. The squares of all bands add up to the square of "
             "the RMS."
+        )
+    if content.beyond_reach is not None:
+        reach = content.beyond_reach
+        change = reach.after_nm / reach.before_nm - 1 if reach.before_nm > 0 else None
+        name = f"beyond the reach of the tool, below {reach.cutoff_period_mm:.2f} mm"
+        rows.append((name, f"{reach.before_nm:.3f}", f"{reach.after_nm:.3f}", _percent(change)))
+        notes.append(
+            "Beyond the reach of the tool: RMS of the periods that its spot cannot remove. An increase was left by the "
+            "passes."
         )
     tables = [Table(("figure", "before", "after", "change"), rows)]
     if content.hidden_ripple:
@@ -228,21 +237,6 @@ def _hidden(one: HiddenRipple) -> tuple[str, str, str]:
 
 def _percent(change: float | None) -> str:
     return DASH if change is None else f"{100 * change:+.1f} %"
-
-
-def _reach(content: Content) -> Iterator[DocumentSection]:
-    reach = content.beyond_reach
-    if reach is None:
-        return
-    table = Table(
-        ("RMS of these periods, nm", "before", "after"),
-        [(f"below {reach.cutoff_period_mm:.2f} mm", f"{reach.before_nm:.3f}", f"{reach.after_nm:.3f}")],
-    )
-    note = (
-        "The spot of the tool cannot remove shorter periods. An increase was left by the passes. The samples and the "
-        "aperture are those of all figures above. The figures of the solver, on its coarser grid, are not repeated."
-    )
-    yield DocumentSection("Beyond the reach of the tool", [table], [note])
 
 
 def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
@@ -265,11 +259,13 @@ def _surface(drawn: CertificateDraft) -> Iterator[Chapter]:
     yield Chapter("The surface after polishing", [], sections)
 
 
-def _making(content: Content) -> Chapter:
+def _making(drawn: CertificateDraft) -> Chapter:
+    content = drawn.content
     parts = [
         DocumentSection("From map to map", [_measurements(content)], _notes(content)),
         _anomalies(content),
         *map(_pass, content.passes),
+        *wording.ripple_section(drawn.run.folder.rows()),
     ]
     interrupted = sum(one.number is None for one in content.passes)
     passes = f"{len(content.passes) - interrupted}" + (f", and {interrupted} interrupted" if interrupted else "")

@@ -14,22 +14,32 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from polishd.api import PolishdError, SurfaceStats
+from polishd.config.tolerance import notation
 from polishd.model.events import MapMeasured, PlanWritten, RemovalCheckFailed, RunFolderCompleted
 from polishd.model.states import Outcome
 from polishd.model.tolerance import LineResult
 from polishd.plugins import run_report
 from polishd.rendering.document import DocumentSection, Picture, Table, html
-from polishd.reports import run_pictures
+from polishd.reports import pictures, run_pictures
 from polishd.reports.run_reader import ExecutedTimes, ReportSurface, read_folder
-from polishd.reports.run_report import CERTIFICATE, COLUMNS, certificate_rows, run_report_document, write_report
-from polishd.reports.wording import VERDICTS, duration, phase_durations, plain, when
+from polishd.reports.run_report import (
+    CERTIFICATE,
+    COLUMNS,
+    DrawnSections,
+    certificate_rows,
+    run_report_document,
+    write_report,
+)
+from polishd.reports.wording import VERDICTS, duration, indication, phase_durations, plain, when
+from tests.unit.rendering.printed import require_legible
 
 N = 24
 PITCH_MM = 1.0
-PER_PASS = ("maps", "prediction", "dwell", "executed")
+PER_PASS = ("maps", "dwell", "executed")
 
 
 def disc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -102,7 +112,7 @@ def write_run(folder: Path, passes: int) -> Path:
 
 @pytest.fixture(autouse=True)
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("polishd.rendering.plots.DPI", 40)
+    monkeypatch.setattr("polishd.rendering.plots.PAGE_DPI", 40)
 
 
 @pytest.fixture
@@ -127,7 +137,7 @@ def plan_dir(tmp_path: Path) -> Path:
 
 def words_of(folder: Path) -> str:
     """The page without its pictures, which take the time."""
-    return html(run_report_document(read_folder(folder), []))
+    return html(run_report_document(read_folder(folder), DrawnSections()))
 
 
 def page_of(folder: Path) -> str:
@@ -202,7 +212,7 @@ class TestARun:
             assert imread(io.BytesIO(content)).shape[0] > 100
 
     def test_it_shows_every_pass_and_the_whole(self, page: str, reported: Path) -> None:
-        expected = {"overview", "trend", "psd", "cycle-00-compliance", "cycle-02-maps"}
+        expected = {"maps", "convergence", "psd", "cycle-00-compliance"}
         expected |= {f"cycle-{cycle:02d}-{kind}" for cycle in (0, 1) for kind in PER_PASS}
         assert {file.stem for file in (reported / "pictures").glob("*")} == expected
 
@@ -252,6 +262,51 @@ class TestARun:
         assert (reported / "report.html").stat().st_mode & 0o777 == 0o644
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("passes", [0, 1, 2])
+def test_every_picture_is_legible_on_paper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, passes: int) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr("polishd.reports.run_report.png", lambda fig: bytes(figures.append(fig) or b""))
+    write_report(write_run(tmp_path / "run", passes))
+    assert len(figures) == (2, 7, 10)[passes]
+    for fig in figures:
+        require_legible(fig)
+
+
+def test_the_page_begins_with_the_result_and_ends_with_the_details(run_dir: Path) -> None:
+    line = LineResult("PSD x f^2 of periods 5 to 30 mm", 31.0, 30.0, "nm^2 mm^2")
+    rows = [{"rms_nm": 9.0, "judged": [line.facts()]}] * 2
+    write_summary(run_dir, rows, outcome="cycles_used", notes=["a note"])
+    chapters = words_of(run_dir).split("<article>")[1:]
+    titles = [re.findall("<h[12]>(.*?)</h[12]>", chapter) for chapter in chapters]
+    assert titles == [
+        ["PART &lt;1&gt;", "Requirement and result"],
+        ["Figures", "Measurements"],
+        ["Details", "Notes"],
+    ]
+    assert "PSD × f² of periods 5 to 30 mm</th><td>nm² mm²</td>" in chapters[0]
+    assert "ISO 10110-8" in chapters[0]
+    assert "<td>fail</td>" in chapters[0]
+
+
+@pytest.mark.parametrize(
+    ("limits", "drawn"),
+    [
+        ({"3/B": 20.0}, "3/-(20)"),
+        ({"3/A": 200.0}, "3/200"),
+        ({"3/C": 5.0, "3/A": 200.0}, "3/200(-/5)"),
+        ({"RMSi": 4.0, "3/B": 20.0, "3/C": 10.0}, "3/-(20/10); RMSi < 4"),
+        ({"RMSt": 4.0, "PV": 8.0}, "RMSt < 4"),
+        ({"RMS": 2.0}, ""),
+    ],
+)
+def test_limits_of_form_are_written_as_in_a_drawing(limits: dict[str, float], drawn: str) -> None:
+    assert indication([LineResult(what, 1.0, limit, "nm") for what, limit in limits.items()]) == drawn
+    if drawn:
+        known = {name.removeprefix("3/"): limit for name, limit in limits.items() if name != "PV"}
+        assert notation(drawn) == known, "the config reads it"
+
+
 FOREIGN = "<q a=\"1\" c='2'>{{ 7 * 7 }}&amp;</q>"
 
 
@@ -266,7 +321,7 @@ def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
     picture = Picture("p", FOREIGN, b"png")
     tables = [Table((FOREIGN, FOREIGN), certificate_rows(certificate))]
     foreign = DocumentSection(FOREIGN, tables, [FOREIGN], [picture], [f"cycle-00/{FOREIGN}"])
-    page = html(run_report_document(folder, [foreign]))
+    page = html(run_report_document(folder, DrawnSections(details=[foreign])))
     assert "<q" not in page
     assert "c='2'" not in page
     assert "49" not in page
@@ -276,7 +331,7 @@ def test_whatever_a_file_says_is_text_on_the_page(tmp_path: Path) -> None:
 
 
 def test_a_section_that_holds_nothing_is_not_on_the_page(tmp_path: Path) -> None:
-    page = html(run_report_document(read_folder(tmp_path), [DocumentSection("Nothing")]))
+    page = html(run_report_document(read_folder(tmp_path), DrawnSections([DocumentSection("Nothing")])))
     assert "Nothing" not in page
     assert "Files:" not in page
     assert page.endswith("</html>\n")
@@ -288,7 +343,7 @@ def test_a_plan_shows_its_prediction(plan_dir: Path) -> None:
     assert '<p class="verdict plain">' in page
     assert missing_in(page) == ""
     names = {file.stem for file in (plan_dir / "pictures").glob("*")}
-    assert names == {"psd", "plan-maps", "plan-compliance", "plan-dwell"}
+    assert names == {"maps", "psd", "plan-compliance", "plan-dwell"}
 
 
 @pytest.mark.full
@@ -312,7 +367,8 @@ def test_a_tolerance_on_long_periods_is_judged_and_drawn_on_them(run_dir: Path) 
     rows = [{"rms_nm": 9.0, "band_rms_nm": 8.0}, {"rms_nm": 3.0, "band_rms_nm": 1.0}]
     write_summary(run_dir, rows, tolerance_period_mm=7.0)
     assert "RMS, periods &gt; 7 mm</dt><dd>8.00 → 1.00 nm" in words_of(run_dir)
-    legend = run_pictures.convergence_picture(rows, 2.0, 7.0).axes[0].get_legend()
+    steps = run_pictures.convergence_steps(rows, 7.0)
+    legend = pictures.convergence_figure(steps, 2.0, "measured, periods above 7 mm").axes[0].get_legend()
     labels = [text.get_text() for text in legend.texts]
     assert "measured, periods above 7 mm" in labels
     assert "measured, all periods" in labels
@@ -327,8 +383,10 @@ def test_the_drawings_lines_stand_with_what_each_measurement_had(run_dir: Path) 
     page = words_of(run_dir)
     assert "<dt>tolerance</dt><dd>1 of 2 lines hold</dd>" in page
     cells = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>(.*?)</tr>", page)]
-    assert ["RMS", "2 nm", "9", "1.8", "yes (± 0.2 nm)"] in cells
-    assert ["3/B", "20 nm", "55", "22", "no"] in cells
+    plain = [[re.sub("<.*?>", "", cell) for cell in row] for row in cells]
+    assert ["RMS", "nm", "2", "9", "1.8", "0.2", "undecided, pass"] in plain
+    assert ["3/B", "nm", "20", "55", "22", "not known", "fail"] in plain
+    assert "ISO 10110-5:2015, nm of surface: 3/-(20)" in page
 
 
 def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
@@ -338,7 +396,8 @@ def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
     page = words_of(run_dir)
     bound = "by the 95 % bound of the true RMS, as its mount holds it, power removed"
     assert f"<dt>accepted</dt><dd>{bound}; the instrument&#39;s system map cccccccccccc is subtracted</dd>" in page
-    assert "yes (at most 1.25 nm truly, 95 %; guard band 0.75 nm, power removed)" in page
+    assert "<td>at most 1.25</td><td>pass</td>" in page
+    assert "RMS: at most 1.25 nm truly (95 %), guard band 0.75 nm, power removed; judged by this bound." in page
     write_summary(run_dir, [{"rms_nm": 0.5, "judged": [LineResult("RMS", 0.5, 2.0, "nm").facts()]}], accept="figure")
     assert "<dt>accepted</dt><dd>as measured</dd>" in words_of(run_dir)
 
@@ -389,7 +448,7 @@ class TestWhatIsMissing:
         page = page_of(run_dir)
         assert "Unfinished" in page
         assert "summary.json: not there" in missing_in(page)
-        assert page.count("<img ") == 8
+        assert page.count("<img ") == 6
 
     def test_an_empty_folder_gets_a_page(self, tmp_path: Path) -> None:
         page = page_of(tmp_path)
@@ -417,7 +476,7 @@ class TestWhatIsMissing:
         (run_dir / "cycle-00" / "surface.npz").write_bytes(b"PK\x03\x04")
         page = page_of(run_dir)
         assert "cycle-00/surface.npz: cannot be read" in missing_in(page)
-        assert (run_dir / "pictures" / "cycle-01-maps.png").is_file()
+        assert (run_dir / "pictures" / "maps.png").is_file()
         assert (run_dir / "pictures" / "cycle-00-dwell.png").is_file()
 
     @pytest.mark.full
@@ -431,7 +490,7 @@ class TestWhatIsMissing:
     @pytest.mark.full
     def test_a_prediction_on_another_grid_is_not_drawn(self, undrawn: None, run_dir: Path) -> None:
         np.savez(run_dir / "cycle-00" / "plan.npz", **(plan_arrays() | {"residual_nm": np.zeros((5, 5))}))
-        assert "picture cycle-00-prediction" in missing_in(page_of(run_dir))
+        assert "picture cycle-00-maps" in missing_in(page_of(run_dir))
 
     @pytest.mark.full
     def test_a_map_without_data_in_the_clear_aperture(self, undrawn: None, run_dir: Path) -> None:
@@ -500,9 +559,8 @@ class TestSpectrum:
         assert np.isfinite(run_pictures.smooth_spectrum(tilted, mask, 1.0)[1]).all()
 
 
-def test_a_surface_lies_where_its_grid_does() -> None:
+def test_the_rms_of_a_surface_is_about_its_mean() -> None:
     surface = ReportSurface(np.zeros((4, 6)), np.ones((4, 6), dtype=bool), 0.5)
-    assert surface.x_mm.tolist() == [-1.25, -0.75, -0.25, 0.25, 0.75, 1.25]
     assert surface.rms_nm(np.arange(24.0).reshape(4, 6)) == pytest.approx(np.arange(24.0).std())
 
 

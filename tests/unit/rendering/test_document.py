@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
 import pytest
 
 from polishd.rendering.document import (
     DASH,
+    GAP_IN,
     Chapter,
     DocumentSection,
     ReportDocument,
     ReportValue,
     Table,
     Verdict,
+    _column_widths,
+    _text_in,
+    _wrap,
     html,
     paged,
 )
+from polishd.rendering.plots import PAGE_IN
+
+PACKAGE = Path(__file__).resolve().parents[3] / "polishd"
 
 
 def document(*sections: DocumentSection, verdict: Verdict | None = None) -> ReportDocument:
@@ -67,12 +75,31 @@ def test_a_link_is_relative_and_quoted() -> None:
 
 def test_a_long_table_goes_on_to_the_next_pages() -> None:
     table = Table(("term", "value"), [(str(row), "x") for row in range(150)])
-    assert paged(document(DocumentSection("s", [table])))[1] == 3
+    assert paged(document(DocumentSection("s", [table])))[1] == 4
 
 
 def test_a_table_with_many_long_columns_fits_on_the_page() -> None:
-    from polishd.rendering.document import GAP_IN, INNER_IN, _column_widths
-
     widths = _column_widths([["x" * 60, "y" * 55, "z" * 5, "w" * 50]])
-    assert sum(widths) + 3 * GAP_IN <= INNER_IN + 1e-6
+    assert sum(widths) + 3 * GAP_IN <= PAGE_IN + 1e-6
     assert widths[2] == pytest.approx(min(widths)), "a short column keeps its width"
+
+
+def test_the_longest_word_of_a_column_stays_in_one_line() -> None:
+    name, digest = "cycle-00/registration.json", "0" * 64
+    for text, width in zip((name, digest), _column_widths([[name, digest]]), strict=True):
+        assert _wrap(text, width, 8.5) == [text]
+
+
+@pytest.mark.parametrize("text", ["WWWW MMMM " * 40, "W" * 300, "iiii llll " * 40, "", "a  b"])
+@pytest.mark.parametrize("bold", [True, False])
+def test_no_line_is_wider_than_its_column(text: str, *, bold: bool) -> None:
+    lines = _wrap(text, 2.0, 12.0, bold=bold)
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
+    assert all(_text_in(line, 12.0, bold=bold) <= 2.0 for line in lines)
+
+
+def test_all_reports_have_one_template_and_one_style() -> None:
+    kinds = ("*.jinja", "*.css")
+    found = [path.relative_to(PACKAGE).as_posix() for kind in kinds for path in PACKAGE.rglob(kind)]
+    own = [name for name in found if not name.startswith("web/")]
+    assert own == ["rendering/document.html.jinja", "rendering/report.css"]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from polishd import __version__
 from polishd.commissioning.rehearsal.simulated_cell import with_values
@@ -22,6 +23,7 @@ from polishd.model.tolerance import ToleranceLine
 from polishd.process.metrology.tolerance import judge_lines
 from tests import patience
 from tests.unit.maps.maps import PITCH_MM, dat, surface
+from tests.unit.rendering.printed import require_legible
 from tests.unit.said import Polishd
 
 TOLERANCE = """
@@ -34,7 +36,14 @@ exponent = 2.0
 periods_above_mm = 2.0
 periods_below_mm = 10.0
 """
-PARTS = ["Surface", "Primary aberrations", "ISO 10110-5 and ISO 10110-14", "Tolerance", "Slope", "Spatial periods"]
+PARTS = [
+    "Requirement and result",
+    "Surface",
+    "Primary aberrations",
+    "ISO 10110-5 and ISO 10110-14",
+    "Slope",
+    "Spatial periods",
+]
 PARTS += ["Zernike terms", "Measurement", "Editions"]
 
 
@@ -116,7 +125,7 @@ def test_each_number_of_the_page_is_the_json_s(polishd: Polishd, tmp_path: Path,
     words = " ".join(page.words)
     for said in (answer["indications"]["iso10110_5"], answer["indications"]["iso10110_14"], answer["sha256"],
                  "A. <Optician>", f"polishd {__version__}", "ISO 14999-4:2015", "blank-7", "circle:0,0,11",
-                 "not in tolerance: 2 of 3 lines hold", "tolerance.toml, over the samples that count"):  # fmt: skip
+                 "Not in tolerance: 2 of 3 lines hold", "tolerance.toml, over the samples that count"):  # fmt: skip
         assert said in words
     assert page.pictures == len(page.fetched) == 3
 
@@ -142,7 +151,7 @@ def test_a_cell_judges_as_its_job_does(
     assert line["value"] == pytest.approx(answer["rms_tilt_removed_nm" if alignment == "tilt" else "rms_nm"])
     assert (answer["judged_by"], answer["alignment"]) == (str(cell), alignment)
     words = " ".join(read(out).words)
-    assert f"{'in' if nm > 100 else 'not in'} tolerance: {int(nm > 100)} of 1 lines hold" in words
+    assert f"{'In' if nm > 100 else 'Not in'} tolerance: {int(nm > 100)} of 1 lines hold" in words
     assert "cell.toml" in words
     drawing = tmp_path / "drawing.toml"
     drawing.write_text("[[tolerance]]\npv_nm = 5000.0\n")
@@ -245,6 +254,20 @@ def test_a_browser_prints_all_of_it(polishd: Polishd, tmp_path: Path, good: Path
     require_figures(text_of(printed), read(page))
     listed = subprocess.run(["pdfimages", "-list", printed], capture_output=True, text=True, check=True).stdout
     assert len(re.findall(r"^ +\d+ +\d+ image ", listed, re.MULTILINE)) == read(page).pictures
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("shape", [(60, 48), (12, 120), (120, 12)], ids=["round", "wide", "tall"])
+def test_every_picture_is_legible_on_paper(
+    polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drawing: Path, shape: tuple[int, int]
+) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr("polishd.reports.map_report.png", lambda fig: bytes(figures.append(fig) or b""))
+    path = dat(tmp_path / "m.dat", surface(*shape))
+    assert polishd("map", "report", path, "--out", tmp_path / "r.html", "--tolerance", drawing).code == 0
+    assert len(figures) == 3
+    for fig in figures:
+        require_legible(fig)
 
 
 @pytest.mark.full

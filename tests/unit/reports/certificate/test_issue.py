@@ -16,7 +16,7 @@ from cryptography.exceptions import InvalidSignature
 from docs.reference import write
 from polishd.cli.app import app
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
-from polishd.rendering.document import html
+from polishd.rendering.document import HEIGHT_IN, MARGIN_IN, WIDTH_IN, html
 from polishd.reports.certificate import issue
 from polishd.reports.certificate.content import CertificateRequest, certificate_content
 from polishd.reports.certificate.document import certificate_document
@@ -81,7 +81,7 @@ def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
     for said in ("A. Meyer", "Observatory", "Example Optics", twin["verdict"]["words"], twin["number"]):
         assert said in text
     for title in (
-        "Specification and verdict", "Uncertainty", "Before and after, nm", "Beyond the reach of the tool", "Signature",
+        "Requirement and result", "Uncertainty", "Before and after, nm", "Beyond the reach of the tool", "Signature",
         "Masks", "Power spectra", "Primary aberrations", "ISO 10110-5 and ISO 10110-14", "Slope", "Spatial periods",
         "Zernike terms", "From map to map", "Anomalies", "Pass 1", "Pass 2", "Instrument",
         "Versions", "Journal", "Files of the run", "Editions",
@@ -94,6 +94,38 @@ def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
     assert twin["journal"]["sha256"] in text
     assert all(file["sha256"] in text for file in twin["files"])
     assert twin["seal"]["signature"]["key_id"] in text
+
+
+def test_the_first_two_pages_are_for_the_customer(certified: Made) -> None:
+    twin = json.loads(certified.twin.read_text())
+    first, second, *others = map(squeezed, text_of(certified.pdf).rstrip("\f\n").split("\f"))
+    front = (
+        "Requirement and result",
+        "Before and after",
+        "RMS in the clear aperture",
+        twin["verdict"]["words"],
+        "pass",
+    )
+    assert [title for title in (*front, "Observatory", twin["part"]["id"]) if title not in first] == []
+    figures = ("Before and after, nm", "Uncertainty", "Power spectra", twin["after"]["iso10110"]["indication"])
+    assert [title for title in figures if title not in second] == []
+    details = ("Instrument", "Pass 1", "Zernike terms", "Files of the run", "Signature The JSON file")
+    assert [title for title in details if title in first + second or title not in " ".join(others)] == []
+
+
+def test_each_word_is_inside_the_margins_and_large_enough(certified: Made, tmp_path: Path) -> None:
+    text_of(certified.pdf)
+    listed = tmp_path / "words.html"
+    subprocess.run(["pdftotext", "-bbox", certified.pdf, listed], check=True)
+    word = r'<word xMin="(.*?)" yMin="(.*?)" xMax="(.*?)" yMax="(.*?)">'
+    places = [tuple(map(float, found)) for found in re.findall(word, listed.read_text())]
+    assert len(places) > 500
+    left, right = 72 * MARGIN_IN, 72 * (WIDTH_IN - MARGIN_IN)
+    assert min(place[0] for place in places) > left - 1
+    assert max(place[2] for place in places) < right + 1
+    assert min(place[1] for place in places) > 0
+    assert max(place[3] for place in places) < 72 * HEIGHT_IN
+    assert min(place[3] - place[1] for place in places) >= 8.0, "letters of 8 pt are as high, with their space"
 
 
 def test_one_rms_of_each_surface(certified: Made) -> None:
