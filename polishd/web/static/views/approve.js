@@ -60,13 +60,13 @@ export function mount(root, ctx) {
     go.disabled = true;
     why.id = "approve-why";
     waits.id = "approve-waits";
-    const head = box("div", "approve-head", box("div", "", made("h2", t.title(plan.cycle, job?.part ?? ctx.state()?.live?.part ?? ""), "title"), waits), box("div", "approve-go", go, why));
-    if (!plan.figures) { body.replaceChildren(head, problem(t.noFigures)); buttonState(); return; }
+    const head = box("div", "approve-head", box("div", "", made("h2", t.title(plan.cycle, job?.part ?? ctx.state()?.live?.part ?? ""), "title"), waits)), foot = box("div", "approve-go", go, why);
+    if (!plan.figures) { body.replaceChildren(head, problem(t.noFigures), foot); buttonState(); return; }
     const place = box("div", "");
     body.replaceChildren(head, box("div", "approve-grid",
       card("approve-figures", t.figure, figures(), ...(plan.last ? [] : [made("p", t.noLast, "note")])),
       box("div", "approve-side", warnings(), limits()),
-    ), card("approve-maps", t.surface, place));
+    ), card("approve-maps", t.surface, place), foot); // the button last, as it is read; a wide page shows it at the top, too
     buttonState();
     showMaps(place);
   }
