@@ -6,7 +6,7 @@ import asyncio
 import re
 import threading
 from collections.abc import AsyncIterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -230,6 +230,11 @@ class Api:
         query = request.query_params
         offset, limit = _count(query, "offset", 0, MOST_NUMBER), _count(query, "limit", PAGE, MOST_PAGE)
         return await asyncio.to_thread(self._history.page, _filter(query), query.get("sort", ""), offset, limit)
+
+    def read_history(self) -> None:
+        """Read the journal's finished jobs, which take seconds in a long history, before the first request for them."""
+        with suppress(PolishdError):  # a damaged journal is named at each request
+            self._history.rows()
 
     async def weeks(self, request: Request, _session: HttpSession) -> Any:
         """Figures of each week."""

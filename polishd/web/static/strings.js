@@ -150,7 +150,7 @@ export const texts = {
     watchOnly: "Your role may look at the queue. The role operate may change it.",
     states: { waiting: "Waiting", "under way": "At the machine", accepted: "Accepted", rejected: "Rejected", "set aside": "Set aside", removed: "Removed" },
     held: "Held", polishing: "Working", changing: "Part change", approval: "Waits for approval", lookAtPlan: "A plan waits for approval: look at it", allParts: (n) => `All ${n} parts`,
-    heldWhy: (reason) => `Held: ${reason || "by an operator"}`,
+    ownJob: "The job of the cell's own file. It is in no queue.", heldWhy: (reason) => `Held: ${reason || "by an operator"}`,
     shop: "From the shop. It begins after the shop has confirmed it.",
     fileProblem: "This job's file does not fit the cell's file any more:",
     since: (took) => `for ${took}`, startsNow: "Next", starts: (at) => `starts about ${at}`, startsAfter: (at) => `after Resume; would start about ${at}`,

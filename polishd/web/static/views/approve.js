@@ -49,7 +49,8 @@ export function mount(root, ctx) {
     const mine = plan;
     if (!ready() || !(await ctx.confirm(...asking(mine), { yes: t.approve }))) return;
     if (mine !== plan || !ready()) return; // another plan waits by now: look at that one first
-    await ctx.order(ctx.texts.approve, "/api/approve", { program_sha256: mine.program_sha256 });
+    const answer = await ctx.order(ctx.texts.approve, "/api/approve", { program_sha256: mine.program_sha256 });
+    if (answer?.ok && location.hash === "#approve") ctx.go("dashboard");
   }
   const asking = (one) => { const [title, ...lines] = t.ask(one.cycle, duration(one.figures.dwell_s)); return [title, lines]; };
 
