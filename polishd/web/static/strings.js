@@ -29,7 +29,7 @@ export const texts = {
   noView: "This view is not part of this version of the page.",
   age: (s) => (s === null || s === undefined ? "no data yet" : s < 1.5 ? "live" : s < 60 ? `${Math.round(s)} s old` : `${Math.round(s / 60)} min old`),
   states: { starting: "Starting", idle: "Ready", changing: "Part change", polishing: "Working", held: "Held", finished: "Finished" },
-  waitsForApproval: "Waits for approval",
+  waitsForApproval: "Waits for approval", links: { page: "No connection", none: "No daemon", silent: "No answer" },
   alarmTexts: { plan_awaiting_approval: () => "A plan waits for approval", part_requested: (part) => `Part ${part} is requested`, notification_failed: (error) => `Notifications fail: ${error}` },
 
   // dashboard
