@@ -24,7 +24,6 @@ FREEZE = """
     constructor(...given) { super(...(given.length ? given : [now])); }
     static now() { return now; }
   };
-  localStorage.setItem("polishd.sound", "on");
   addEventListener("DOMContentLoaded", () => {
     const sheet = new CSSStyleSheet();
     sheet.replaceSync("*, *::before, *::after { animation: none !important; transition: none !important;"

@@ -42,7 +42,8 @@ SEGMENT = (
 )
 PHASE = "INSERT INTO phase (job, cycle, phase, started, ended, outcome) VALUES (?,?,?,?,?,?)"
 PHASES = (
-    (0, "measure", 0, 300), (0, "learn", 300, 310), (0, "solve", 310, 400), (0, "plan", 400, 480), (0, "run", 480, 3660),
+    (0, "measure", 0, 300), (0, "learn", 300, 310), (0, "solve", 310, 400), (0, "plan", 400, 480),
+    (0, "run", 480, 3660),
     (1, "measure", 3660, 3960), (1, "learn", 3960, 3990), (1, "solve", 3990, 4080), (1, "plan", 4080, 4150),
 )  # fmt: skip
 """Of the part under way: cycle, phase, begin and end in s."""
