@@ -21,7 +21,7 @@ from polishd.web.http.certificates import Certificate
 from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.web.map_data import MapRequest
-from polishd.web.run_data import RunData
+from polishd.web.run_data import LARGEST_PLAN, MOST_POINTS, RunData
 from polishd.web.watcher import Watcher
 
 # Orders on their way to the daemon, each in a separate thread, so that none waits for another that hangs.
@@ -173,7 +173,10 @@ class Api:
 
     async def plan(self, request: Request, _session: HttpSession) -> Any:
         """Points, dwell, compliance and gamma of a plan."""
-        return await asyncio.to_thread(self._disk.plan, *_cycle(request))
+        points = request.query_params.get("points", str(MOST_POINTS))
+        if not (points.isascii() and points.isdecimal() and len(points) < 6 and 2 <= int(points) <= LARGEST_PLAN):
+            raise ConfigError(f"points must be a whole number from 2 to {LARGEST_PLAN}")
+        return await asyncio.to_thread(self._disk.plan, *_cycle(request), int(points))
 
     async def certificate(self, request: Request, _session: HttpSession) -> Any:
         """Certificate of a plan's dwell."""

@@ -25,6 +25,7 @@ from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGu
 from polishd.web.http.static_files import static_files
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
+from polishd.web.run_data import LARGEST_PLAN
 from polishd.web.watcher import polling_daemon
 
 # The table of routes: handler and required role.
@@ -178,6 +179,9 @@ def _operation(route: ApiRoute) -> dict[str, Any]:
         px = {"type": "integer", "minimum": LEAST_PX, "maximum": max(ENCODINGS.values())}
         for name, schema in (("px", px), ("encoding", {"enum": list(ENCODINGS)})):
             found["parameters"].append({"name": name, "in": "query", "schema": schema})
+    if route.path == AT_CYCLE + "/plan":
+        points = {"type": "integer", "minimum": 2, "maximum": LARGEST_PLAN}
+        found["parameters"].append({"name": "points", "in": "query", "schema": points})
     if route.fields:
         properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]

@@ -153,7 +153,7 @@ function link() {
   if (performance.now() - known.heard > LOST_MS) return "page";
   return known.state ? known.state.daemon : "page";
 }
-const mayOperate = () => Boolean(known.session) && known.session.role !== "watch";
+function mayOperate() { return Boolean(known.session) && known.session.role !== "watch"; }
 setInterval(() => known.session && show(), 250);
 
 // what is read again when something has happened
