@@ -25,7 +25,9 @@ from polishd.web.http.server import NoSuchResource
 from polishd.web.map_data import MapRequest, picture
 
 MOST_POINTS = 4000
-"""Most points of a path."""
+"""Most points of a path, unless the request says more."""
+LARGEST_PLAN = 20_000
+"""Most points of a path that a request may have."""
 MOST_ROWS = 500
 """Most events in an answer."""
 ALARMS: Mapping[str, tuple[str, str, str]] = {
@@ -165,10 +167,10 @@ class RunData:
         density = _rounded(found.density_nm2_mm2, 6)
         return {"frequency_per_mm": _rounded(found.frequency_per_mm, 5), "power_nm2_mm2": density}
 
-    def plan(self, job: int, cycle: int) -> dict[str, Any]:
+    def plan(self, job: int, cycle: int, most: int = MOST_POINTS) -> dict[str, Any]:
         """Plan of a cycle: points in the part's frame, dwell, compliance and gamma along the path."""
         plan = self._plan(job, cycle)
-        step = max(1, -(-plan["block"].size // MOST_POINTS))
+        step = max(1, -(-plan["block"].size // most))
         chosen = slice(None, None, step)
         return {
             "block": plan["block"][chosen].tolist(),
