@@ -26,7 +26,7 @@ from polishd.web.map_data import MapRequest
 from polishd.web.overview import Overview
 from polishd.web.part_history import MOST_FILTER, MOST_PAGE, PAGE, RESULTS, PartFilter, PartHistory
 from polishd.web.queue_view import QueueView
-from polishd.web.run_data import NO_CYCLE, RunData
+from polishd.web.run_data import LARGEST_PLAN, MOST_POINTS, NO_CYCLE, RunData
 from polishd.web.run_files import RunFiles
 from polishd.web.watcher import Watcher
 
@@ -191,7 +191,10 @@ class Api:
 
     async def plan(self, request: Request, _session: HttpSession) -> Any:
         """Points, dwell, compliance and gamma of a plan."""
-        return await asyncio.to_thread(self._disk.plan, *_cycle(request))
+        points = request.query_params.get("points", str(MOST_POINTS))
+        if not (points.isascii() and points.isdecimal() and len(points) < 6 and 2 <= int(points) <= LARGEST_PLAN):
+            raise ConfigError(f"points must be a whole number from 2 to {LARGEST_PLAN}")
+        return await asyncio.to_thread(self._disk.plan, *_cycle(request), int(points))
 
     async def certificate(self, request: Request, _session: HttpSession) -> Any:
         """Certificate of a plan's dwell."""

@@ -36,6 +36,11 @@ LEAST_ERROR, UNKNOWN_ERROR = 0.02, 0.1
 """Least relative error of a time left, and that where one pass, or none, has shown the pace."""
 
 
+def unix_s() -> float:
+    """Return the Unix time."""
+    return time.time()
+
+
 @dataclass(slots=True)
 class _PassProgress:
     """Executed blocks of one pass, read piece by piece: a block is read once."""
@@ -66,7 +71,7 @@ class _PassProgress:
 class Overview:
     """Overview of one cell. Its answers are kept for ``KEPT_S``."""
 
-    def __init__(self, config: CellConfig, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, config: CellConfig, clock: Callable[[], float] = unix_s) -> None:
         self._config, self._state_dir, self._clock = config, config.state_dir, clock
         self._store = ArrayStore(self._state_dir / ARRAYS_NAME)
         self._progress: _PassProgress | None = None

@@ -25,19 +25,21 @@ from polishd.web.http.server import NoSuchResource
 from polishd.web.map_data import MapRequest, picture
 
 MOST_POINTS = 4000
-"""Most points of a path."""
+"""Most points of a path, unless the request says more."""
+LARGEST_PLAN = 20_000
+"""Most points of a path that a request may have."""
 MOST_ROWS = 500
 """Most events in an answer."""
 ALARMS: Mapping[str, tuple[str, str, str]] = {
-    "cell_held": ("warning", "error", "mend what it names, then resume"),
-    "daemon_failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
+    "cell_held": ("warning", "error", "correct the cause, then resume"),
+    "daemon_failed": ("alarm", "error", "the daemon has ended: correct the cause, then start polishd run again"),
     "finding_reported": ("warning", "what", "look at the tool and the last pass"),
-    "signal_out_of_range": ("warning", "what", "see to that signal"),
+    "signal_out_of_range": ("warning", "what", "check what that signal measures, and its sensor"),
     "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
     "removal_check_failed": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
     "part_requested": ("warning", "part_id", "put that part in, then resume"),
     PlanAwaitingApproval.name: ("warning", "program_sha256", "look at the plan, then approve it"),
-    "notification_failed": ("warning", "error", "mend that notifier"),
+    "notification_failed": ("warning", "error", "correct what it names, and try polishd notify"),
 }
 """By event: severity, key of the detail, and default advice."""
 
@@ -165,10 +167,10 @@ class RunData:
         density = _rounded(found.density_nm2_mm2, 6)
         return {"frequency_per_mm": _rounded(found.frequency_per_mm, 5), "power_nm2_mm2": density}
 
-    def plan(self, job: int, cycle: int) -> dict[str, Any]:
+    def plan(self, job: int, cycle: int, most: int = MOST_POINTS) -> dict[str, Any]:
         """Plan of a cycle: points in the part's frame, dwell, compliance and gamma along the path."""
         plan = self._plan(job, cycle)
-        step = max(1, -(-plan["block"].size // MOST_POINTS))
+        step = max(1, -(-plan["block"].size // most))
         chosen = slice(None, None, step)
         return {
             "block": plan["block"][chosen].tolist(),

@@ -32,6 +32,9 @@ export function chart(id, options) {
   const plain = (u, splits) => splits.map((value) => (value === null ? "" : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? power(value) : String(Number(value.toPrecision(6)))));
   const whole = (u, splits) => splits.map((value) => (Number.isInteger(value) ? String(value) : ""));
   const logs = (u, splits) => splits.map((value) => (value !== null && Number.isInteger(Math.round(1e6 * Math.log10(value)) / 1e6) ? power(value) : ""));
+  const decades = (u, splits) => splits.map((value) => (value !== null && Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-6 ? value : null));
+  const halves = (u, splits) => splits.map((value) => (value !== null && [1, 2, 5].includes(Math.round(value / 10 ** Math.floor(Math.log10(value) + 1e-9))) ? value : null));
+  const logAxis = { values: logs, filter: decades, ticks: { stroke: colour("--grid"), size: 4, filter: decades }, grid: { stroke: colour("--grid"), width: 1, filter: halves } };
   const times = (u, splits) => splits.map((value) => new Date(1000 * value).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" }));
 
   function make() {
@@ -44,8 +47,8 @@ export function chart(id, options) {
         y: { ...(y.log ? { distr: 3 } : {}), ...(y.range ? { range: (u, low, high) => y.range(low, high, overlay) } : {}) },
       },
       axes: [
-        axis(x, { values: x.time ? times : x.log ? logs : x.whole ? whole : plain, size: 28, space: x.time ? 70 : 44 }),
-        axis(y, { values: y.log ? logs : plain, size: 44, space: 30 }),
+        axis(x, { ...(x.log ? logAxis : { values: x.time ? times : x.whole ? whole : plain }), size: 28, space: x.time ? 70 : 44 }),
+        axis(y, { ...(y.log ? logAxis : { values: plain }), size: 44, space: y.log ? 18 : 30 }),
       ],
       series: [{}, ...options.series.map((one) => ({
         label: one.label, stroke: colour(one.color), width: one.width ?? 1.75, dash: one.dash, spanGaps: Boolean(one.span), show: !one.hidden,

@@ -23,11 +23,14 @@ export const texts = {
   sent: "sent", obeyed: "obeyed", notYet: "given; not obeyed yet", refused: "refused",
   moreAlarms: (count) => (count > 0 ? ` (and ${count} more)` : ""),
   lastOrder: (order, by, at) => `Last order: ${order} by ${by}, ${at}`,
+  orders: { hold: "Hold", resume: "Resume", stop: "Stop", estop: "Emergency stop", approve: "Approval", queue_add: "New job", queue_move: "Change of the queue", queue_remove: "Job removed", job_add: "New job" },
+  soundOn: "Alarm sound is on", soundOff: "Alarm sound is off",
   byUnknown: "an unnamed client",
   noView: "This view is not part of this version of the page.",
   age: (s) => (s === null || s === undefined ? "no data yet" : s < 1.5 ? "live" : s < 60 ? `${Math.round(s)} s old` : `${Math.round(s / 60)} min old`),
   states: { starting: "Starting", idle: "Ready", changing: "Part change", polishing: "Working", held: "Held", finished: "Finished" },
-  approval: "Waits for approval", attention: "needs you",
+  waitsForApproval: "Waits for approval", links: { page: "No connection", none: "No daemon", silent: "No answer" },
+  alarmTexts: { plan_awaiting_approval: () => "A plan waits for approval", part_requested: (part) => `Part ${part} is requested`, notification_failed: (error) => `Notifications fail: ${error}` },
 
   // dashboard
   dashboard: {
@@ -71,7 +74,7 @@ export const texts = {
     events: {
       job_started: (d) => `Job ${d.job} begins with part ${d.part_id}`, part_requested: (d) => `Part ${d.part_id} is requested`, part_changed: (d) => `Part ${d.part_id ?? ""} is in`,
       queue_job_ended: (d) => `${d.job}: ${d.verdict}`, queue_stopped: () => "The queue stops", cell_opened: () => "All devices are open", state_changed: (d, all) => [all?.states[d.state] ?? d.state, d.reason].filter(Boolean).join(": "),
-      command_received: (d, all) => `${all?.[d.order] ?? words(d.order)} by ${d.by || "an unnamed client"}${d.reason ? `: ${d.reason}` : ""}`, alarm_acknowledged: (d) => `${d.alarms?.length === 1 ? "An alarm was" : `${d.alarms?.length ?? ""} alarms were`} acknowledged by ${d.by || "an unnamed client"}`,
+      command_received: (d, all) => `${all?.orders[d.order] ?? words(d.order)} by ${d.by || "an unnamed client"}${d.reason ? `: ${d.reason}` : ""}`, alarm_acknowledged: (d) => `${d.alarms?.length === 1 ? "An alarm was" : `${d.alarms?.length ?? ""} alarms were`} acknowledged by ${d.by || "an unnamed client"}`,
       contact_aborted: (d) => `Contact is left: ${d.error}`, cell_held: (d) => d.error, daemon_failed: (d) => `The daemon failed: ${d.error}`, map_refused: (d) => `A map was refused: ${d.reason}`,
       map_measured: (d) => `Measured${d.rms_nm === undefined ? "" : `: RMS ${nm(d.rms_nm)}`}`, map_repeated: () => "Measured again", removal_check_failed: () => "The removal does not fit the plan", estimates_updated: () => "The estimates are updated",
       signal_out_of_range: (d) => d.what || "A signal is out of range", finding_reported: (d) => d.what || "A finding is reported", dwell_solved: (d) => `Dwell computed${d.predicted_rms_nm === undefined ? "" : `: ${nm(d.predicted_rms_nm)} predicted`}`,
@@ -85,24 +88,24 @@ export const texts = {
     page: { kind: "alarm", title: "No connection to the page's server", steps: ["Check the network of this device: do other pages open?", "Call the cell, or go there: `polishd status CELL.toml` shows how it stands.", "If the cell works and only this page fails, start it again: `polishd web CELL.toml`.", "In danger press the emergency stop at the machine."] },
     silent: { kind: "alarm", title: "The daemon does not answer", steps: ["Press Hold: it is still sent, and is obeyed when the daemon answers.", "Go to the cell. See whether the tool is off the part.", "The actuator's own watchdog lifts the tool if the daemon stays silent.", "At the computer: `polishd status CELL.toml`. If it stays silent, end the daemon and start it again: it starts held."] },
     killed: { kind: "alarm", title: "The daemon was killed", steps: ["Go to the cell. See that the tool is off the part and the robot at rest.", "Find out why: power cut, restart of the computer, no memory (`journalctl`).", "Look at the part. The interrupted pass can leave a step; the next measurement shows it.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing.", "When no person is in the cell, press Resume here. The cell measures first."] },
-    failed: { kind: "alarm", title: "An error ended the daemon", steps: ["Read the reason on the left. A device that is NOT confirmed: go to the machine first.", "Correct the cause.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing.", "When no person is in the cell, press Resume here. The cell measures first."] },
-    stopped: { kind: "calm", title: "The run was stopped by an order", steps: ["See below who ordered it, and ask before you go on.", "To go on with this job start the daemon: `polishd run CELL.toml`. It starts held.", "When no person is in the cell, press Resume here. The cell measures first."] },
+    failed: { kind: "alarm", title: "An error ended the daemon", steps: ["Read the reason. A device that is NOT confirmed: go to the machine first.", "Correct the cause.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing.", "When no person is in the cell, press Resume here. The cell measures first."] },
+    stopped: { kind: "calm", title: "The run was stopped by an order", steps: ["Find out who ordered it, and ask before you go on.", "To go on with this job start the daemon: `polishd run CELL.toml`. It starts held.", "When no person is in the cell, press Resume here. The cell measures first."] },
     unknown: { kind: "alarm", title: "No daemon has left a record", steps: ["Check that this is the right cell.", "Look at the cell: tool off the part, robot at rest.", "Start the daemon: `polishd run CELL.toml`. It starts held and moves nothing."] },
     in_tolerance: { kind: "calm", title: "Done: the part is in tolerance", steps: ["Read `report.html` in the run folder, or the part's page under History.", "Take the part out. A finished cell is not a safe place: use your safety controller before you reach in.", "The next job begins with `polishd run CELL.toml`."] },
     as_programmed: { kind: "calm", title: "Done: all passes of the program were made", steps: ["Read `report.html` in the run folder.", "The estimates are saved: `polishd estimates show CELL.toml` shows them.", "The next job begins with `polishd run CELL.toml`."] },
     cycles_used: { kind: "warning", title: "All passes are used, and the part is not in tolerance", steps: ["Look at the convergence and the last map. What is left: form, or ripple?", "For more passes raise `job.max_cycles` and give the job a new `job.id`.", "If the last passes removed less than planned, look at the pad and the slurry first."] },
     diverged: { kind: "alarm", title: "The surface got worse", steps: ["Do not polish on.", "Compare the last two maps. A shifted or turned pattern: check the seat and the fiducials.", "Uniformly more or less removal than planned: check pad, slurry, force and speed.", "Measure again. If the first map was wrong, the measurement was the cause.", "Begin a new job only after you know the cause."] },
     stalled: { kind: "warning", title: "A pass hardly improves the surface", steps: ["Look at the PSD: what is left may be finer than the tool can reach.", "Look at the pad: a glazed pad removes less. Condition or change it.", "A smaller tool, or a polish with another pad, takes the rest.", "Begin a new job with that tool."] },
-    held: { kind: "warning", title: "Held by an error", steps: ["Read the reason on the left and the alarms beside. The first alarm is often the cause of the others.", "Correct the cause. A held cell is not a safe place for people: use your safety controller before you reach in.", "You may clean the part on its seat. If you take it out, put it back the same way.", "When no person is in the cell, press Resume. The cell measures first; no block runs twice."] },
-    ordered: { kind: "warning", title: "Held by an order", steps: ["See beside who ordered it, and ask before you go on.", "The tool is off the part. A held cell is not a safe place for people: use your safety controller before you reach in.", "When no person is in the cell, press Resume. The cell measures first; no block runs twice."] },
+    held: { kind: "warning", title: "Held by an error", steps: ["Read the reason and the alarms. The first alarm is often the cause of the others.", "Correct the cause. A held cell is not a safe place for people: use your safety controller before you reach in.", "You may clean the part on its seat. If you take it out, put it back the same way.", "When no person is in the cell, press Resume. The cell measures first; no block runs twice."] },
+    ordered: { kind: "warning", title: "Held by an order", steps: ["Find out who ordered it (below), and ask before you go on.", "The tool is off the part. A held cell is not a safe place for people: use your safety controller before you reach in.", "When no person is in the cell, press Resume. The cell measures first; no block runs twice."] },
     unsafe: { kind: "alarm", title: "A device did not confirm that it is safe", steps: ["Go to the machine now. Stay out of the robot's reach.", "Actuator: switch it off and see the tool lifted before anything moves.", "Robot: stop it at its own controller. Spindle: switch its drive off before you reach in.", "Correct the cause, then press Resume: every device must confirm before anything moves."] },
     approval: { kind: "warning", title: "A plan waits for approval", steps: ["Look at the plan: predicted surface, removal, time, and warnings.", "Approve it there, or press Hold and correct the recipe.", "Nothing moves before. Nothing is lost by waiting."] },
-    changing: { kind: "warning", title: "The part must be changed", steps: ["Without a loader: make the cell safe, then put in the part that is named on the left.", "Check its number: the map must show the same one.", "When no person is in the cell, press Resume."] },
+    changing: { kind: "warning", title: "The part must be changed", steps: ["Without a loader: make the cell safe, then put in the part that is named.", "Check its number: the map must show the same one.", "When no person is in the cell, press Resume."] },
   },
 
   // maps
   maps: {
-    title: "Maps", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colours: "Colours", ends: "Colours end at", outside: "Outside the clear aperture",
+    look: "View", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colours: "Colours", ends: "Colours end at", outside: "Outside the clear aperture",
     kinds: { measured: "Measured", predicted: "Predicted", residual: "Residual", removal: "Removal", dwell: "Dwell", gamma: "Gamma" },
     about: {
       measured: "Heights that the instrument measured, mean removed.", predicted: "Surface that the plan of this pass expects.",
@@ -113,10 +116,10 @@ export const texts = {
     scales: { auto: "99.5 % of the values", full: "Least and greatest", first: "As the first measurement" },
     hide: { dim: "Pale", hide: "Hidden", show: "Full colour" },
     path: "Path of the tool", smooth: "Interpolate between samples", outline: "Edge of the clear aperture",
-    zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", here: "Cursor", figures: "In the clear aperture",
-    names: { pv: "PV", rms: "RMS", low: "Least", high: "Greatest", mean: "Mean", pitch: "Sample pitch", size: "Samples", zoom: "Zoom" },
+    zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", figures: "In the clear aperture",
+    names: { pv: "PV", rms: "RMS", low: "Least", high: "Greatest", mean: "Mean", pitch: "Sample pitch", size: "Samples" },
     cycle: (number, rms) => `${number}: ${rms}`, first: "before polishing", after: (number) => `after pass ${number}`,
-    noJob: "There is no measurement yet.", none: "There is no such map", noData: "no data here", inside: "in the clear aperture", beyond: "outside the clear aperture",
+    noJob: "There is no measurement yet.", none: "There is no such map", noData: "no data here", beyond: "outside the clear aperture",
     oldPlan: "The daemon keeps the plan of a job until the next job begins.",
     canvas: (kind, unit) => `Map, ${kind}${unit ? `, ${unit}` : ""}. Arrow keys move the cursor, with Shift ten samples. Plus, minus: zoom. 0: all.`,
     solidCanvas: (kind) => `Surface, ${kind}. Arrow keys turn it, with Shift they shift it. Plus, minus: zoom. 0: from the start.`,
@@ -129,14 +132,13 @@ export const texts = {
 
   // cell
   cellView: {
-    title: "Cell", canvas: "Robot, part and path. Arrow keys turn the view, with Shift they shift it. Plus, minus: zoom. 0: from the start.",
-    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", pass: "Pass", follow: "Follow the tool", point: "Point of the path",
-    colour: "Dwell per point", block: "Block", tip: "Tip, base frame", now: "Tool now", shown: "Shown", state: "Contact", robot: "Robot",
+    canvas: "Robot, part and path. Arrow keys turn the view, with Shift they shift it. Plus, minus: zoom. 0: from the start.",
+    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", focus: "Centre", focuses: { cell: "Whole cell", part: "Part" }, pass: "Pass", follow: "Follow the tool", point: "Point of the path",
+    colour: "Dwell per point", block: "Block", tip: "Tip, base frame", shown: "Shown", state: "Contact", robot: "Robot",
     robots: { hybrid: "hybrid, 3 UPS and UP with C/A wrist", serial: "six-axis arm", measured: "measured compliance, no kinematics" },
-    on: "tool on the part", off: "tool off the part", notRunning: "no pass runs", rim: "part", noPlan: "There is no plan yet.",
+    on: "tool on the part", off: "tool off the part", notRunning: "no pass runs", noPlan: "There is no plan yet.",
     nominal: "Stick figure from the cell's kinematics, at nominal poses: the calibrated seat of the part and the tool's deflection are not in it.",
     keys: "Drag or arrow keys turn the view; with Shift they shift it. Wheel, pinch, + and − zoom; 0 starts again.",
-    link: { base: "base", limb: "limb", arm: "arm", platform: "platform", tool: "tool" },
   },
 
   // queue

@@ -10,7 +10,7 @@ const OLD_S = 2.0, WINDOW_S = 600, READ_MS = 3000, MOST_EVENTS = 40;
 
 export function mount(root, ctx) {
   const t = ctx.texts.dashboard;
-  let overview = null, readMs = -Infinity, reading = false, gone = false, map = null, psd = null, plan = null, shownGuide = "", shownAlarms = "";
+  let overview = null, readMs = -Infinity, heardMs = 0, reading = false, gone = false, map = null, psd = null, plan = null, shownGuide = "", shownAlarms = "";
   const samples = [[], [], [], []]; // Unix time, force, set point, speed
 
   // how it stands
@@ -65,7 +65,7 @@ export function mount(root, ctx) {
       summary: (data) => data[1].map((value, k) => (value === null ? "" : `${data[0][k]}: ${figure(value)} nm`)).filter(Boolean).join(", "),
     }),
     psd: chart("psd", {
-      title: t.charts.psd, empty: t.noMeasurement, x: { label: t.axes.frequency, log: true }, y: { label: t.axes.psd, log: true },
+      title: t.charts.psd, empty: t.noMeasurement, x: { label: t.axes.frequency, log: true, range: (low, high) => [low, high] }, y: { label: t.axes.psd, log: true },
       series: [{ label: t.first, color: "--s4", width: 1.25, unit: "nm² mm²" }, { label: t.last, color: "--s1", width: 2, unit: "nm² mm²" }, { label: t.limit, color: "--warn", dash: [6, 4], unit: "nm² mm²" }],
       at: (value) => t.period(figure(1 / value)),
     }),
@@ -106,7 +106,7 @@ export function mount(root, ctx) {
     readMs = performance.now();
     try {
       const found = await ctx.got("/api/overview");
-      if (found && !gone) { overview = found; showLimits(); }
+      if (found && !gone) { overview = found; heardMs = performance.now(); showLimits(); }
     } catch { /* the shell shows a lost server */ } finally { reading = false; }
   }
   async function readSamples() {
@@ -195,6 +195,7 @@ export function mount(root, ctx) {
     const state = ctx.state(), live = state?.live, key = guideOf(ctx), up = ctx.link() === "up";
     const guideKey = JSON.stringify([key, live?.reason, state?.ending?.reason, live?.unsafe]);
     now.classList.toggle("guided", Boolean(key));
+    for (const one of aside.children) one.classList.toggle("current", ctx.link() !== "page"); // the page's server reads them from the disk
     if (guideKey !== shownGuide) { shownGuide = guideKey; guideAt.replaceChildren(...(key ? [guidePanel(ctx, key)] : [])); }
     const may = ctx.mayOperate() && up;
     resume.hidden = !(may && ["held", "changing"].includes(live?.state));
@@ -229,11 +230,11 @@ export function mount(root, ctx) {
   function showTiles(live, phase, pass) {
     const { force, speed } = live.readings ?? {}, limits = overview?.limits;
     const left = (phase === "run" ? pass : overview?.phase?.phase === phase ? overview?.phase : null)?.left;
-    const passedS = overview ? Math.max(0, Date.now() / 1000 - overview.at_s) : 0;
+    const passedS = overview ? Math.max(0, (performance.now() - heardMs) / 1000) : 0; // the clocks may differ
     if (live.approval || live.state === "held" || live.state === "changing") tiles.left.set(t.waiting, "", t.forYou);
     else if (left) {
       const s = Math.max(0, left.s - passedS), [value, unit] = split(duration(s));
-      tiles.left.set(value, unit, `${t.plusMinus(duration(left.error_s))}, ${t.until(clock(Date.now() / 1000 + s))}; ${t.basis(left.basis, left.earlier ?? overview.phase?.earlier)}`);
+      tiles.left.set(value, unit, `${t.plusMinus(duration(left.error_s))}, ${t.until(clock(Date.now() / 1000 + s))}\n${t.basis(left.basis, left.earlier ?? overview.phase?.earlier)}`);
     } else tiles.left.set(NONE, "", phase ? t.timeUnknown : "");
     const age = (one) => one && one.age_s < OLD_S;
     if (force && age(force)) {
@@ -243,7 +244,7 @@ export function mount(root, ctx) {
     if (speed && age(speed)) tiles.speed.set(fixed(speed.rpm, 0), "rpm", limits ? t.setTo(`${figure(limits.rpm)} rpm`) : "");
     else tiles.speed.set(speed ? fixed(speed.rpm, 0) : NONE, speed ? "rpm" : "", speed ? t.oldBy(duration(speed.age_s)) : t.notRead, "old");
     const last = ctx.cycles().at(-1), run = last?.run, rms = overview?.tolerance?.find((one) => one.figure === "rms" && !one.above_mm && one.below_mm === null);
-    tiles.rms.set(last ? figure(last.measured.rms_nm) : NONE, last ? "nm" : "", [run?.predicted_rms_nm ? t.then(figure(run.predicted_rms_nm)) : "", rms ? t.allowed(figure(rms.limit)) : ""].filter(Boolean).join(", "));
+    tiles.rms.set(last ? figure(last.measured.rms_nm) : NONE, last ? "nm" : "", [run?.predicted_rms_nm ? t.then(figure(run.predicted_rms_nm)) : "", rms ? t.allowed(figure(rms.limit)) : ""].filter(Boolean).join("\n"));
   }
   const split = (text) => { const [value, ...rest] = text.split("\u00a0"); return rest.length === 1 ? [value, rest[0]] : [text, ""]; };
 
@@ -253,15 +254,15 @@ export function mount(root, ctx) {
     acknowledge.hidden = !found.length;
     if (key === shownAlarms) return;
     shownAlarms = key;
-    alarms.replaceChildren(...(found.length ? found.map((one) => box("li", one.severity,
+    alarms.replaceChildren(...(found.length ? found.map((one) => box("li", `sev-${one.severity}`,
       made("p", `${t.severity[one.severity]}${one.first && found.length > 1 ? ` ${t.cameFirst}` : ""}, ${clock(one.at_s)}`, "head"),
-      made("p", one.what || t.events[one.name]?.({}) || one.name), made("p", `${t.toDo}: ${one.todo}`, "todo note"))) : [made("li", t.noAlarm, "none")]));
+      made("p", ctx.alarmText(one)), made("p", `${t.toDo}: ${one.todo}`, "todo note"))) : [made("li", t.noAlarm, "none")]));
   }
   function showJournal() {
     const events = ctx.journal(), order = ctx.lastOrder(), notice = events.find((one) => t.notices[one.name]?.(one.data));
     const who = overview?.notifiers?.length ? t.sentBy(overview.notifiers.map((one) => one.name).join(", ")) : overview ? t.noNotifier : "";
     latest.replaceChildren(made("dt", t.lastNotice), made("dd", notice ? `${clock(notice.at_s)} ${t.notices[notice.name](notice.data)}${who ? ` (${who})` : ""}` : `${t.none}${who ? ` (${who})` : ""}`),
-      made("dt", t.lastOrder), made("dd", order ? `${clock(order.at_s)} ${t.ordered(ctx.texts[order.data.order] ?? order.data.order, order.data.by || ctx.texts.byUnknown)}${order.data.reason ? `: ${order.data.reason}` : ""}` : t.none));
+      made("dt", t.lastOrder), made("dd", order ? `${clock(order.at_s)} ${t.ordered(ctx.texts.orders[order.data.order] ?? order.data.order, order.data.by || ctx.texts.byUnknown)}${order.data.reason ? `: ${order.data.reason}` : ""}` : t.none));
     journal.replaceChildren(...events.slice(0, MOST_EVENTS).map((one) => {
       const at_ = made("time", clock(one.at_s)), text = t.events[one.name]?.(one.data, ctx.texts) ?? one.name.replaceAll("_", " ");
       at_.dateTime = new Date(1000 * one.at_s).toISOString();

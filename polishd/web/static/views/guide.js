@@ -31,7 +31,7 @@ export function guidePanel(ctx, key) {
   const reason = facts?.reason || "";
   const safety = ctx.link() === "none" && facts?.tool_off ? box("dl", "safety", ...rows([[t.toolOff, t.confirmed[facts.tool_off] ?? facts.tool_off], [t.atRest, t.confirmed[facts.robot_at_rest] ?? facts.robot_at_rest]])) : null;
   const unsafe = (facts?.unsafe ?? []).map((text) => made("p", `${t.notSafe}: ${text}`, "alarm"));
-  const panel = box("div", `guide ${guide.kind}`, made("h3", guide.title, "guide-title"), reason ? made("p", reason, "guide-why") : null, ...unsafe, safety, made("h4", t.todo), steps);
+  const panel = box("div", `guide current kind-${guide.kind}`, box("div", "guide-what", made("h3", guide.title, "guide-title"), reason ? made("p", reason, "guide-why") : null, ...unsafe, safety), box("div", "guide-steps", made("h4", t.todo), steps));
   panel.id = "guide";
   panel.dataset.guide = key;
   return panel;
