@@ -54,9 +54,9 @@ export function mount(root, ctx) {
   slider.addEventListener("input", () => { now.relief = Number(slider.value); show(); });
   const flatOnly = [select(texts.outside, texts.hide, now.outside, redraw("outside")), toggle(texts.outline, now.outline, redraw("outline")),
     toggle(texts.path, now.path, async (on) => { now.path = on; await loadPath(); show(); }), toggle(texts.smooth, now.smooth, redraw("smooth"))];
-  card.append(looks, cycles, relief);
+  card.append(cycles, relief);
   options.append(select(texts.colours, texts.tables, now.colours, redraw("colours")), select(texts.ends, texts.scales, now.ends, redraw("ends")), ...flatOnly);
-  head.append(kinds, said);
+  head.append(kinds, looks, said);
   main.append(head, message, map, upright, flat, corner, stage, note);
   side.append(card, numbers, options, spoken);
   view.append(main, side);
