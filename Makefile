@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
+.PHONY: help demo test test-all test-long test-maps ways-out crash faults pits rehearsals replies model coverage shop-campaign mutate soak interop check format reference docs paper screenshots bench performance compare naming scenarios robustness robustness-dask lock dist dist-check image-check clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
@@ -130,6 +130,9 @@ paper: $(VENV)/.installed ## draw the pictures of docs/explanation/paper.md agai
 	@cp $(PAPER)/table_iv/residuals_depth.png docs/images/paper/table_iv.png
 	@cp $(PAPER)/table_iv/setting.png docs/images/paper/fig_13.png
 	@cp $(PAPER)/fig_12/passes.png docs/images/paper/fig_12.png
+
+screenshots: $(VENV)/.installed ## make the pictures of the page in docs/images/page; needs chromium (ARGS="name ...")
+	@$(BIN)/python -m tests.screenshots $(ARGS)
 
 bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)

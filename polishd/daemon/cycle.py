@@ -59,7 +59,7 @@ async def polish(cell: Cell, job: Job, journal: Journal) -> Outcome:
             await job.refuse_unsafe(plan)
         if job.pass_not_worthwhile(cycle):
             return Outcome.STALLED
-        await until_approved(cell, job, cycle, plan, solved.dwell.certificate.predicted_rms_nm)
+        await until_approved(cell, job, cycle, plan)
         await before_contact(cell, job.publish, cycle)
         await handling.ready(cycle)  # tool, pad and seat: no force on a part that is not seated correctly
         await before_contact(cell, job.publish, cycle)  # the steps between may have taken minutes

@@ -83,6 +83,10 @@ class Signal:
     """A number in the signal's unit, or a state; None: the monitor says that it does not know."""
 
 
+SPEED_BAND = 0.05
+"""Largest relative deviation of the spindle's speed in contact."""
+
+
 @dataclass(frozen=True, slots=True)
 class SpeedSample:
     """One reading of the spindle; ``at_s`` is the daemon's monotonic clock."""

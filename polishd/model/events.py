@@ -356,6 +356,11 @@ class PlanAwaitingApproval(Event):
     program_sha256: Annotated[str, "hash of its program"]
     predicted_rms_nm: Annotated[float, "RMS that it is to leave, nm"]
     dwell_s: Annotated[float, "s in contact, as planned"]
+    figures: Annotated[
+        Mapping[str, Any] | None,
+        "what is approved: RMS now, predicted and expected, ripple, removal, force, speed, `limits` and `notes`",
+    ] = None
+    plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 
     def concern(self) -> OperatorNotice:
         """Warning."""

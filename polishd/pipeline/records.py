@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self, TypeVar, get_type_hints
@@ -351,6 +351,8 @@ class PlanResult:
     """Forecast for the next map; None: a pass of an earlier polishd."""
     tool: str = ""
     """Tool of the plan; empty: the cell has one tool."""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    """Figures of the plan for an operator (``PlanFigures``); empty: a pass of an earlier polishd, or not needed."""
 
     @classmethod
     def of(cls, plan: Plan, solved: SolveResult, part: Program, forecast: Forecast, tool: str = "") -> Self:
@@ -398,7 +400,8 @@ class PlanResult:
         total = {"predicted_rms_nm": self.predicted_rms_nm, "dwell_s": float(self.expected_s.sum())}
         expected = None if self.forecast is None else self.forecast.facts()
         tool = {"tool": self.tool} if self.tool else {}
-        return {"certificate": certificate, **total, "forecast": expected, **tool, **self.believed.facts()}
+        shown = {"plan_figures": dict(self.figures)} if self.figures else {}
+        return {"certificate": certificate, **total, "forecast": expected, **tool, **shown, **self.believed.facts()}
 
     def start(self) -> Arrays:
         """A separate file of the store, small compared with the plan's."""
@@ -425,6 +428,7 @@ class PlanResult:
         expected = facts.get("forecast")
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         rest["tool"] = facts.get("tool", "")
+        rest["figures"] = facts.get("plan_figures", {})
         return record_of(cls, {}, {**arrays, **rest, "believed": EstimatesInUse.load(facts, initial)})
 
 

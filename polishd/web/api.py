@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
@@ -18,10 +20,14 @@ from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
 from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
+from polishd.web.http.server import ClientShares, JsonAnswer, NoSuchResource, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.web.map_data import MapRequest
-from polishd.web.run_data import LARGEST_PLAN, MOST_POINTS, RunData
+from polishd.web.overview import Overview
+from polishd.web.part_history import MOST_FILTER, MOST_PAGE, PAGE, RESULTS, PartFilter, PartHistory
+from polishd.web.queue_view import QueueView
+from polishd.web.run_data import LARGEST_PLAN, MOST_POINTS, NO_CYCLE, RunData
+from polishd.web.run_files import RunFiles
 from polishd.web.watcher import Watcher
 
 # Orders on their way to the daemon, each in a separate thread, so that none waits for another that hangs.
@@ -101,6 +107,9 @@ class Api:
     def __init__(self, config: CellConfig, sessions: SessionStore, certificate: Certificate | None = None) -> None:
         self._config, self.sessions, self._certificate = config, sessions, certificate
         self._disk, self._orders = RunData(config.state_dir), CommandForwarder(config.state_dir)
+        self._history = PartHistory(config.state_dir)
+        self._overview, self._overview_read = Overview(config), asyncio.Lock()
+        self._queue = QueueView(config, self._history)
         self.watcher = Watcher(config.state_dir)
         self._streams = ClientShares(MOST_OF_USER, MOST_WATCHERS)
 
@@ -146,9 +155,18 @@ class Api:
         known = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
         return {**known, "certificate": None if self._certificate is None else self._certificate.facts()}
 
+    async def overview(self, _request: Request, _session: HttpSession) -> Any:
+        """Limits, tolerance, and progress of the pass."""
+        async with self._overview_read:  # one reader: the others get its answer
+            return await asyncio.to_thread(self._overview.facts)
+
+    async def readings(self, _request: Request, _session: HttpSession) -> Any:
+        """Readings of the last minutes."""
+        return {"columns": ["at_s", "force_n", "setpoint_n", "rpm"], "rows": self.watcher.readings()}
+
     async def queue(self, _request: Request, _session: HttpSession) -> Any:
-        """Jobs of the daemon's queue."""
-        return await self._asked("queue_list")
+        """Jobs of the queue, from the journal: it needs no daemon."""
+        return await asyncio.to_thread(self._queue.facts)
 
     async def jobs(self, _request: Request, _session: HttpSession) -> Any:
         """All jobs."""
@@ -182,9 +200,50 @@ class Api:
         """Certificate of a plan's dwell."""
         return await asyncio.to_thread(self._disk.certificate, *_cycle(request))
 
-    async def history(self, _request: Request, _session: HttpSession) -> Any:
-        """History of all parts."""
-        return {"jobs": await asyncio.to_thread(self._disk.history)}
+    async def job(self, request: Request, _session: HttpSession) -> Any:
+        """One part: its row of the history, its measurements and passes, approvals and files."""
+        return await asyncio.to_thread(self._job, _number(request, "job"))
+
+    def _job(self, number: int) -> dict[str, Any]:
+        folder = self._disk.run_folder(number)
+        row = self._history.row(number)
+        if row is None:
+            raise NoSuchResource(f"there is no job {number} in this cell's journal")
+        return {
+            **row.facts(),
+            "cycles": self._disk.cycles(number),
+            "approvals": self._disk.approvals(number),
+            "files": None if not folder else RunFiles(self._config.resolve(folder)).facts(),
+        }
+
+    async def file(self, request: Request, _session: HttpSession) -> Response:
+        """A picture, the report or a certificate of a job's run folder."""
+        number, name = _number(request, "job"), request.path_params["name"]
+        folder = await asyncio.to_thread(self._disk.run_folder, number)
+        found = None if not folder else await asyncio.to_thread(RunFiles(self._config.resolve(folder)).file, name)
+        content = None if found is None else await asyncio.to_thread(found.content)
+        if found is None or content is None:
+            raise NoSuchResource(f"the run folder of job {number} has no picture, report or certificate of that name")
+        kind = "inline" if found.is_picture else "attachment"
+        headers = {"content-disposition": f"{kind}; filename*=UTF-8''{quote(found.name, safe='')}"}
+        return Response(content, media_type=found.media_type, headers=headers)
+
+    async def history(self, request: Request, _session: HttpSession) -> Any:
+        """A page of the table of all parts."""
+        query = request.query_params
+        offset, limit = _count(query, "offset", 0, MOST_NUMBER), _count(query, "limit", PAGE, MOST_PAGE)
+        return await asyncio.to_thread(self._history.page, _filter(query), query.get("sort", ""), offset, limit)
+
+    async def weeks(self, request: Request, _session: HttpSession) -> Any:
+        """Figures of each week."""
+        return {"weeks": await asyncio.to_thread(self._history.weeks, _filter(request.query_params))}
+
+    async def waiting_plan(self, request: Request, _session: HttpSession) -> Any:
+        """Figures of a plan that waits for approval, beside those of the last pass."""
+        program = request.path_params["program"]
+        if not re.fullmatch("[0-9a-f]{64}", program):
+            raise NoSuchResource("there is no such plan: its name is the SHA-256 of its program, 64 hexadecimal digits")
+        return await asyncio.to_thread(self._disk.waiting_plan, program)
 
     async def journal(self, request: Request, _session: HttpSession) -> Any:
         """Events and orders."""
@@ -262,12 +321,6 @@ class Api:
             return JsonAnswer({"ok": True, "obeyed": False}, 202)
         return answer if answer.get("ok") else refusal(409, str(answer.get("error")))
 
-    async def _asked(self, verb: str) -> Any:
-        try:
-            return await asyncio.to_thread(client.request, self._config.state_dir, verb)
-        except PolishdError as error:
-            return _failed(error)
-
 
 class _Stream(StreamingResponse):
     """Server-sent events; the stream counts against the user's streams from the answer's head to its end."""
@@ -308,8 +361,30 @@ def _number(request: Request, name: str) -> int:
     """A text as the journal can store it."""
     found = int(request.path_params[name])
     if found > MOST_NUMBER:
-        raise ConfigError("there is none of that job and cycle")
+        raise NoSuchResource(NO_CYCLE)
     return found
+
+
+def _filter(query: Mapping[str, str]) -> PartFilter:
+    """Return the filter of a query; ConfigError where a value is wrong."""
+    text, result = query.get("text", ""), query.get("result", "")
+    if len(text) > MOST_FILTER:
+        raise ConfigError(f"text has {len(text)} characters; at most {MOST_FILTER}")
+    if result and result not in RESULTS:
+        raise ConfigError(f"result must be one of {', '.join(RESULTS)}")
+    times = [_count(query, key, -1, MOST_NUMBER) for key in ("since", "until")]
+    since_s, until_s = (None if one < 0 else float(one) for one in times)
+    return PartFilter(text, result, since_s, until_s)
+
+
+def _count(query: Mapping[str, str], key: str, default: int, most: int) -> int:
+    """Return a whole number of a query; ConfigError where it is none, or too large."""
+    found = query.get(key, "")
+    if not found:
+        return default
+    if not (found.isascii() and found.isdecimal() and int(found[:17]) <= most):
+        raise ConfigError(f"{key} must be a whole number, at most {most}")
+    return int(found)
 
 
 async def _json(request: Request) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from polishd.model.errors import ConfigError
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.rendering.scales import PERCENTILE, height_limit, value_limits
+from polishd.web.http.server import NoSuchResource
 
 Arrays = Mapping[str, NDArray[Any]]
 Encoding = Literal["rows", "float32"]
@@ -59,7 +60,7 @@ class MapRequest:
     def of(cls, kind: str, query: Mapping[str, str]) -> MapRequest:
         """Return the request of a path and its query; ConfigError where a value cannot be."""
         if kind not in MAP_KINDS:
-            raise ConfigError(f"there is no such map: {', '.join(MAP_KINDS)}")
+            raise NoSuchResource(f"there is no such map: {', '.join(MAP_KINDS)}")
         encoding = next((one for one in ENCODINGS if one == query.get("encoding", "rows")), None)
         if encoding is None:
             raise ConfigError(f"encoding must be one of {', '.join(ENCODINGS)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +25,7 @@ from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGu
 from polishd.web.http.static_files import static_files
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
+from polishd.web.part_history import MOST_PAGE, RESULTS, SORTS
 from polishd.web.run_data import LARGEST_PLAN
 from polishd.web.watcher import polling_daemon
 
@@ -33,6 +34,7 @@ from polishd.web.watcher import polling_daemon
 Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
 
 AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
+AT_FILE = "/api/jobs/{job:int}/files/{name}"
 AT_MAP = AT_CYCLE + "/map/{kind}"
 
 
@@ -60,16 +62,28 @@ ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("GET", "/api/state", WATCH, "state of the cell, last readings of its devices, and their ages", Api.state),
     ApiRoute("GET", "/api/health", WATCH, "link ages, disk, memory and loop", Api.health),
     ApiRoute("GET", "/api/events", WATCH, "what happens, as a stream (SSE): `state`, `happened`", Api.events),
+    ApiRoute("GET", "/api/overview", WATCH, "limits, tolerance, progress of pass and phase, time left", Api.overview),
+    ApiRoute("GET", "/api/readings", WATCH, "force and speed of the last ten minutes, twice a second", Api.readings),
     ApiRoute("GET", "/api/alarms", WATCH, "alarms that are not acknowledged, the oldest first", Api.alarms),
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
+    ApiRoute("GET", "/api/jobs/{job:int}", WATCH, "one part: result, passes, approvals, files", Api.job),
+    ApiRoute("GET", AT_FILE, WATCH, "a picture, the report or a certificate of its run folder", Api.file),
     ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
     ApiRoute("GET", AT_MAP, WATCH, f"a map as an array: {', '.join(f'`{kind}`' for kind in MAP_KINDS)}", Api.map),
     ApiRoute("GET", AT_CYCLE + "/psd", WATCH, "power over spatial frequency of the measured map", Api.psd),
     ApiRoute("GET", AT_CYCLE + "/plan", WATCH, "the path, its dwell, compliance and gamma", Api.plan),
     ApiRoute("GET", AT_CYCLE + "/cell", WATCH, "the robot's joints along the plan, its path and the part", Api.cell),
     ApiRoute("GET", AT_CYCLE + "/certificate", WATCH, "what the dwell's solver proved", Api.certificate),
-    ApiRoute("GET", "/api/history", WATCH, "what became of the cell's parts", Api.history),
+    ApiRoute("GET", "/api/history", WATCH, "the cell's parts, filtered, sorted, in pages", Api.history),
+    ApiRoute("GET", "/api/history/weeks", WATCH, "figures of the cell's parts by week", Api.weeks),
+    ApiRoute(
+        "GET",
+        "/api/plans/{program}",
+        WATCH,
+        "figures of a plan that waits for approval, and of the last pass",
+        Api.waiting_plan,
+    ),
     ApiRoute("GET", "/api/journal", WATCH, "what happened and who ordered it, newest first; `?before=N`", Api.journal),
     ApiRoute("GET", "/api/config", ENGINEER, "all values of the cell's configuration in force", Api.config),
     ApiRoute(
@@ -118,6 +132,28 @@ ROUTES: tuple[ApiRoute, ...] = (
 ERROR = {"type": "object", "properties": {"ok": {"type": "boolean"}, "error": {"type": "string"}}}
 NUMBER = {"type": "integer", "minimum": 0, "maximum": MOST_NUMBER}
 TYPES = {"string": {"type": "string"}, "array": {"type": "array", "items": NUMBER}}
+PATH_SCHEMAS: Mapping[str, Any] = {
+    "kind": {"enum": list(MAP_KINDS)},
+    "name": TYPES["string"],
+    "program": {"type": "string", "pattern": "^[0-9a-f]{64}$"},
+}
+_PARTS = {"text": TYPES["string"], "result": {"enum": list(RESULTS)}, "since": NUMBER, "until": NUMBER}
+QUERIES: Mapping[str, Mapping[str, Any]] = {
+    "/api/journal": {"before": NUMBER},
+    "/api/history": {
+        **_PARTS,
+        "sort": {"enum": [sign + name for name in SORTS for sign in ("", "-")]},
+        "offset": NUMBER,
+        "limit": {"type": "integer", "minimum": 0, "maximum": MOST_PAGE},
+    },
+    "/api/history/weeks": _PARTS,
+    AT_CYCLE + "/plan": {"points": {"type": "integer", "minimum": 2, "maximum": LARGEST_PLAN}},
+    AT_MAP: {
+        "px": {"type": "integer", "minimum": LEAST_PX, "maximum": max(ENCODINGS.values())},
+        "encoding": {"enum": list(ENCODINGS)},
+    },
+}
+"""Schemas of the query of a route, by its path."""
 REFUSALS = {
     "400": "the request is wrong, and says how",
     "401": "not signed in",
@@ -169,19 +205,12 @@ def _operation(route: ApiRoute) -> dict[str, Any]:
         "description": f"Needs the role {route.role.value}, or more.",
         "responses": _responses(stream=route.path == "/api/events", order=route.method == "POST"),
         "parameters": [
-            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else {"enum": list(MAP_KINDS)}}
+            {"name": name, "in": "path", "required": True, "schema": NUMBER if number else PATH_SCHEMAS[name]}
             for name, number in names
         ],
     }
-    if route.path == "/api/journal":
-        found["parameters"].append({"name": "before", "in": "query", "schema": NUMBER})
-    if route.path == AT_MAP:
-        px = {"type": "integer", "minimum": LEAST_PX, "maximum": max(ENCODINGS.values())}
-        for name, schema in (("px", px), ("encoding", {"enum": list(ENCODINGS)})):
-            found["parameters"].append({"name": name, "in": "query", "schema": schema})
-    if route.path == AT_CYCLE + "/plan":
-        points = {"type": "integer", "minimum": 2, "maximum": LARGEST_PLAN}
-        found["parameters"].append({"name": "points", "in": "query", "schema": points})
+    for name, schema in QUERIES.get(route.path, {}).items():
+        found["parameters"].append({"name": name, "in": "query", "schema": schema})
     if route.fields:
         properties = {name.rstrip("?"): TYPES[kind] for name, kind in route.fields}
         required = [name for name, _ in route.fields if not name.endswith("?")]

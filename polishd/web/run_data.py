@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
-from polishd.daemon.journal.history import naming_damage, read_events, read_history, read_only
+from polishd.daemon.journal.history import naming_damage, read_events, read_only
 from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME
 from polishd.daemon.journal.store import ArrayStore
 from polishd.model.errors import ConfigError, JournalDamage
+from polishd.model.events import PlanAwaitingApproval
 from polishd.process.metrology.spectra import radial_psd
-from polishd.util.serialization import plain
 from polishd.web.cell_figure import CellFigures
+from polishd.web.http.server import NoSuchResource
 from polishd.web.map_data import MapRequest, picture
 
 MOST_POINTS = 4000
@@ -30,20 +31,23 @@ LARGEST_PLAN = 20_000
 MOST_ROWS = 500
 """Most events in an answer."""
 ALARMS: Mapping[str, tuple[str, str, str]] = {
-    "cell_held": ("warning", "error", "mend what it names, then resume"),
-    "daemon_failed": ("alarm", "error", "the daemon has ended: mend what it names, then start polishd run again"),
+    "cell_held": ("warning", "error", "correct the cause, then resume"),
+    "daemon_failed": ("alarm", "error", "the daemon has ended: correct the cause, then start polishd run again"),
     "finding_reported": ("warning", "what", "look at the tool and the last pass"),
-    "signal_out_of_range": ("warning", "what", "see to that signal"),
+    "signal_out_of_range": ("warning", "what", "check what that signal measures, and its sensor"),
     "map_refused": ("warning", "reason", "look at the instrument, and measure again"),
     "removal_check_failed": ("warning", "stop", "look at gate.png in the run folder, and measure again"),
     "part_requested": ("warning", "part_id", "put that part in, then resume"),
-    "plan_awaiting_approval": ("warning", "program_sha256", "look at the plan, then approve it"),
-    "notification_failed": ("warning", "error", "mend that notifier"),
+    PlanAwaitingApproval.name: ("warning", "program_sha256", "look at the plan, then approve it"),
+    "notification_failed": ("warning", "error", "correct what it names, and try polishd notify"),
 }
 """By event: severity, key of the detail, and default advice."""
 
 
-class NoSuchRow(ConfigError):
+NO_CYCLE = "there is none of that job and cycle"
+
+
+class NoSuchRow(NoSuchResource):
     """The journal has no such job and cycle, or it has no such arrays."""
 
 
@@ -61,8 +65,9 @@ class RunData:
         return [dict(zip(("number", "job", "part", "began_s", "ended_s", "outcome"), row, strict=True)) for row in rows]
 
     def cycles(self, job: int) -> list[dict[str, Any]]:
-        """Measurements of a job, each with the pass after it."""
-        sql = "SELECT cycle, facts, started, ended, how FROM pass WHERE job = ?"
+        """Measurements of a job, each with the pass after it. NoSuchRow where there is no such job."""
+        self._one("SELECT id FROM job WHERE id = ?", job, missing=f"there is no job {job} in this cell's journal")
+        sql = "SELECT cycle, facts, started, ended, how, program_sha256 FROM pass WHERE job = ?"
         with naming_damage(self._state_dir):
             maps = {
                 row[0]: row for row in self._rows("SELECT cycle, stats, taken FROM map WHERE job = ? ORDER BY id", job)
@@ -77,6 +82,56 @@ class RunData:
                 }
                 for cycle, stats, taken in maps.values()
             ]
+
+    def waiting_plan(self, program_sha256: str) -> dict[str, Any]:
+        """Figures of a plan of the newest job that waits, or waited, for approval, and of the pass before it.
+
+        NoSuchRow where that job has no such plan.
+        """
+        sql = (
+            "SELECT id, job, at, cycle, data FROM event WHERE job = (SELECT max(id) FROM job) AND name = ? "
+            "ORDER BY id DESC"
+        )
+        with naming_damage(self._state_dir):
+            plans = [(*row, dict(json.loads(text))) for *row, text in self._rows(sql, PlanAwaitingApproval.name)]
+            found = next((one for one in plans if one[4]["program_sha256"] == program_sha256), None)
+            if found is None:
+                raise NoSuchRow(f"no plan {program_sha256[:12]} of the present job waits, or waited, for approval")
+            _, job, at_s, cycle, plan = found
+            figures = {key: value for key, value in plan.items() if key not in {"program_sha256", "plan"}}
+            cycles = self.cycles(job)
+            approved = [
+                {"at_s": at, "by": data["by"]}
+                for at, text in self._rows(
+                    "SELECT at, data FROM event WHERE job = ? AND name = ?", job, "plan_approved"
+                )
+                if (data := json.loads(text))["program_sha256"] == program_sha256
+            ]
+            before = [one for one in cycles if one["cycle"] < cycle and one["run"] is not None]
+            after = {one["cycle"]: one["measured"] for one in cycles}
+            last = before[-1] if before else None
+            return {
+                "program_sha256": program_sha256,
+                "job": job,
+                "cycle": cycle,
+                "at_s": at_s,
+                "figures": figures if "limits" in figures else None,  # none of an earlier polishd
+                "has_maps": bool(plan.get("plan")),
+                "measured": after.get(cycle),
+                "approved": approved[-1] if approved else None,
+                "last": None if last is None else {**last, "after": after.get(last["cycle"] + 1)},
+            }
+
+    def approvals(self, job: int) -> list[dict[str, Any]]:
+        """Approvals of plans of a job: cycle, program, user and Unix time."""
+        with naming_damage(self._state_dir):
+            sql = "SELECT at, data FROM event WHERE job = ? AND name = 'plan_approved' ORDER BY id"
+            return [{"at_s": at_s, **json.loads(text)} for at_s, text in self._rows(sql, job)]
+
+    def run_folder(self, job: int) -> str:
+        """Run folder of a job as the journal has it; empty: nothing was measured. NoSuchRow where there is no job."""
+        sql = "SELECT id, run_dir FROM job WHERE id = ?"
+        return str(self._one(sql, job, missing=f"there is no job {job} in this cell's journal")[1])
 
     def certificate(self, job: int, cycle: int) -> dict[str, Any]:
         """Dwell certificate of the cycle's plan."""
@@ -99,8 +154,9 @@ class RunData:
     def cell(self, job: int, cycle: int, config: CellConfig) -> dict[str, Any]:
         """Robot, part and path of a cycle's plan in the robot's base frame, with the job's own configuration."""
         with naming_damage(self._state_dir):
-            name, facts = self._one("SELECT plan, facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
-            tool = str(json.loads(facts).get("tool", ""))
+            name = self._plan_name(job, cycle)
+            facts = self._rows("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
+            tool = str(json.loads(facts[0][0]).get("tool", "")) if facts else ""
         for path, content in self._rows("SELECT path, content FROM queue WHERE job = ?", job):
             config = JobFile(Path(path), content).laid_over(config)
         return self._figures.of((name, tool, job), config.of_tool(tool) if tool else config, self._arrays(name))
@@ -148,13 +204,6 @@ class RunData:
             open_ = [one for one in found if one["name"] in ALARMS and one["number"] not in seen]
             return [{**_alarm(one), "first": one is open_[0]} for one in open_[:MOST_ROWS]]
 
-    def history(self) -> list[dict[str, Any]]:
-        """Result of each part."""
-        if not (self._state_dir / JOURNAL_NAME).exists():
-            return []
-        found: list[dict[str, Any]] = json.loads(json.dumps(read_history(self._state_dir), default=plain))
-        return found
-
     def tally(self) -> dict[str, Any]:
         """Number of parts (``parts``) and passes (``passes``) by their end, and the last map of the last job.
 
@@ -173,7 +222,19 @@ class RunData:
         return self._arrays(name)
 
     def _plan(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:
-        return self._arrays(self._one("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)[0])
+        return self._arrays(self._plan_name(job, cycle))
+
+    def _plan_name(self, job: int, cycle: int) -> str:
+        rows = self._rows("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)
+        if not rows:  # a plan that waits for approval has no pass yet
+            sql = (
+                "SELECT json_extract(data, '$.plan') FROM event WHERE job = ? AND cycle = ? "
+                "AND name = 'plan_awaiting_approval' ORDER BY id DESC LIMIT 1"
+            )
+            rows = self._rows(sql, job, cycle)
+        if not rows or not rows[0][0]:
+            raise NoSuchRow(NO_CYCLE)
+        return str(rows[0][0])
 
     def _arrays(self, name: str) -> dict[str, NDArray[Any]]:
         """Arrays of the store. JournalDamage names a file that is missing or is not what was written."""
@@ -182,10 +243,10 @@ class RunData:
         except (ConfigError, ValueError, EOFError, OSError, BadZipFile) as error:
             raise JournalDamage(f"arrays {name[:12]}: {error}") from error
 
-    def _one(self, sql: str, *values: Any) -> tuple[Any, ...]:
+    def _one(self, sql: str, *values: Any, missing: str = NO_CYCLE) -> tuple[Any, ...]:
         found = self._rows(sql, *values)
         if not found or not found[0][0]:
-            raise NoSuchRow("there is none of that job and cycle")
+            raise NoSuchRow(missing)
         return found[0]
 
     def _rows(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
@@ -196,15 +257,20 @@ class RunData:
 
 
 def _pass(row: tuple[Any, ...]) -> dict[str, Any]:
-    _, facts, started, ended, how = row
+    _, facts, started, ended, how, program = row
     known = json.loads(facts)
-    wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "findings")
-    return {"began_s": started, "ended_s": ended, "how": how or "begun", **{key: known.get(key) for key in wanted}}
+    wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "findings", "plan_figures")
+    contact_s = (known.get("shown") or {}).get("contact_s")
+    values = {"program_sha256": program, "contact_s": contact_s, **{key: known.get(key) for key in wanted}}
+    return {"began_s": started, "ended_s": ended, "how": how or "begun", **values}
 
 
 def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
     severity, field, todo = ALARMS[event["name"]]
     data = event["data"]
+    if event["name"] == PlanAwaitingApproval.name:
+        what = f"a plan of {data['dwell_s'] / 60:.0f} min to {data['predicted_rms_nm']:.2f} nm RMS waits for approval"
+        data = {**data, field: what}
     known = {key: event[key] for key in ("number", "at_s", "cycle", "name")}
     return {**known, "severity": severity, "what": str(data.get(field, "")), "todo": data.get("next") or todo}
 

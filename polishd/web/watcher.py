@@ -10,6 +10,7 @@ import json
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from polishd.daemon.runtime.exit_record import last_ending
 from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.util.serialization import finite
+from polishd.web.overview import reading_row
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +28,10 @@ LOOK_S = 0.5
 """Interval between two requests."""
 ANSWER_S = 1.0
 """Time without an answer after which the daemon counts as silent."""
+KEPT_READINGS = 1200
+"""Readings that are kept for charts: ten minutes."""
+OLD_S = 2.0
+"""Age from which a reading is not shown as present."""
 MOST_BEHIND = 200
 """Messages that a page may be behind; then it is disconnected, and connects again."""
 
@@ -40,6 +46,7 @@ class Watcher:
         self._ended, self._look = threading.Event(), threading.Event()
         self._live: dict[str, Any] = {}
         self._heard_s: float | None = None
+        self._readings: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=KEPT_READINGS)
         self.daemon = "none"
         """``up``, ``silent`` or ``none``."""
         self.number = 0
@@ -50,6 +57,10 @@ class Watcher:
         age_s = None if self._heard_s is None else round(time.monotonic() - self._heard_s, 3)
         known = {"daemon": self.daemon, "age_s": age_s, "number": self.number, "live": self._live or None}
         return known if self.daemon != "none" else {**known, "ending": last_ending(self._state_dir)}
+
+    def readings(self) -> list[tuple[float, float | None, float | None, float | None]]:
+        """Unix time, force (N), its set point (N) and speed (rpm) of the last minutes; None: there was no reading."""
+        return list(self._readings)
 
     @contextmanager
     def page(self) -> Iterator[AsyncIterator[str]]:
@@ -123,6 +134,7 @@ class Watcher:
         self.daemon = daemon
         if answer is not None:
             self._live, self._heard_s = answer, time.monotonic()
+            self._readings.append(reading_row(answer, time.time(), OLD_S))
         self._send(_message("state", self.state()))
 
     def _happened(self, event: dict[str, Any]) -> None:

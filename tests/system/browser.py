@@ -106,8 +106,8 @@ class Page:
 
 
 @contextlib.contextmanager
-def browsing(folder: Path) -> Iterator[Page]:
-    """A browser for the time of the block; the test is skipped where there is none."""
+def browsing(folder: Path, *options: str) -> Iterator[Page]:
+    """A browser for the time of the block, with these options, too; the test is skipped where there is none."""
     chromium = shutil.which("chromium")
     if chromium is None:
         pytest.skip("chromium is not installed: apt-get install chromium")
@@ -119,7 +119,7 @@ def browsing(folder: Path) -> Iterator[Page]:
         os.dup2(far[0], 3)
         os.dup2(far[1], 4)
 
-    command = [chromium, *OPTIONS, f"--user-data-dir={folder}", "about:blank"]
+    command = [chromium, *OPTIONS, *options, f"--user-data-dir={folder}", "about:blank"]
     quiet = subprocess.DEVNULL
     with subprocess.Popen(command, stdout=quiet, stderr=quiet, pass_fds=(3, 4), preexec_fn=place) as process:  # noqa: PLW1509 - it only moves descriptors
         for one in (its_in, its_out, *far):

@@ -24,7 +24,7 @@ from polishd.daemon.contact.contact_record import ContactRecord
 from polishd.daemon.contact.force_check import ForceCheck, verdict
 from polishd.daemon.runtime.memory import RESERVE
 from polishd.interfaces import ForceActuator, Robot
-from polishd.model.devices import ForceSample, SensedForce, SpeedSample
+from polishd.model.devices import SPEED_BAND, ForceSample, SensedForce, SpeedSample
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop, WrongSeat
 from polishd.util.wire_recording import record_sent
 
@@ -463,7 +463,7 @@ async def _watch_speed(cell: Cell, watch: _ContactMonitor) -> None:
         watch.touch.speed(sample)
         if sample.fault:
             raise DeviceFault(f"spindle: fault {sample.fault} while in contact")
-        if good_at is None or abs(sample.rpm - limits.rpm) <= max(0.05 * abs(limits.rpm), STILL_RPM):
+        if good_at is None or abs(sample.rpm - limits.rpm) <= max(SPEED_BAND * abs(limits.rpm), STILL_RPM):
             good_at = sample.at_s
         elif sample.at_s - good_at > limits.alarm_delay_s:
             raise SafetyStop(

@@ -31,6 +31,7 @@ from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.acceptance import forecast_of
 from polishd.pipeline.decisions import Decision, decide, small_gain_finding
 from polishd.pipeline.disk_space import require_room
+from polishd.pipeline.plan_figures import plan_figures
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import (
     ExecutedPass,
@@ -283,12 +284,26 @@ class Job:
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed, solved.answer.acting)
         planned = PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
+        figures = await asyncio.to_thread(plan_figures, self.recipe, surface, solved, plan, planned)
+        planned = replace(planned, figures=figures.facts())
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
         names = [await asyncio.to_thread(store.put, arrays) for arrays in (files["plan.npz"], planned.start())]
         self._stored = StoredArrays(*names)
         self._planned[cycle] = planned
         await self.writer.keep(self.folder.cycle(cycle).write, {"program.rnc": plan.program.text, **files})
         return plan
+
+    def approval_request(self, cycle: int, plan: Plan) -> events.PlanAwaitingApproval:
+        """Return the event of a plan that waits, with its figures: the journal states what an operator approves."""
+        planned = self._planned[cycle]
+        return events.PlanAwaitingApproval(
+            cycle=cycle,
+            program_sha256=plan.program.sha256,
+            predicted_rms_nm=planned.predicted_rms_nm,
+            dwell_s=plan.total_s,
+            figures=planned.figures,
+            plan=self._stored.plan,
+        )
 
     def pass_not_worthwhile(self, cycle: int) -> bool:
         """Return whether the planned pass will hardly improve the surface, so that the job does not make it.

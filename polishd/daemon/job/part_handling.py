@@ -41,7 +41,7 @@ from polishd.model.errors import (
     WrongSeat,
 )
 from polishd.model.estimates import Diagnosis
-from polishd.model.events import Event, PlanApproved, PlanAwaitingApproval
+from polishd.model.events import Event, PlanApproved
 from polishd.model.part_handling import HandlingStep, PartSeat, SettleRule, TouchOff
 from polishd.model.program import Plan
 from polishd.model.states import CyclePhase
@@ -358,18 +358,11 @@ FIRST_VALUE_S = 5.0
 LOOK_S = 0.1
 
 
-async def until_approved(cell: Cell, job: Job, cycle: int, plan: Plan, left_nm: float) -> None:
-    """Wait until an operator approves this plan, where the job requires it. Nothing moves; commands end the wait.
-
-    ``left_nm``: predicted RMS after it.
-    """
+async def until_approved(cell: Cell, job: Job, cycle: int, plan: Plan) -> None:
+    """Wait until an operator approves this plan, where the job requires it. Nothing moves; commands end the wait."""
     if not job.recipe.job.approve:
         return
-    job.publish(
-        PlanAwaitingApproval(
-            cycle=cycle, program_sha256=plan.program.sha256, predicted_rms_nm=left_nm, dwell_s=plan.total_s
-        )
-    )
+    job.publish(job.approval_request(cycle, plan))
     await cell.approval.until_given(plan.program.sha256)
 
 

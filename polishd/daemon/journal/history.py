@@ -53,6 +53,8 @@ class FaultEvent:
 class JobHistory:
     """One job, from its row and the rows that name it."""
 
+    number: int
+    """Its row in the journal."""
     job: str
     part_id: str
     began_s: float
@@ -77,13 +79,14 @@ class JobHistory:
         return worst_line(self.measured[-1].judged) if self.measured else None
 
 
-def read_history(state_dir: Path) -> list[JobHistory]:
+def read_history(state_dir: Path, after: int = 0) -> list[JobHistory]:
     """Return all jobs of a cell in order; ConfigError where there is no journal, or it cannot be read.
 
-    The file is opened read-only and blocks no writer: a daemon may be in contact.
+    The file is opened read-only and blocks no writer: a daemon may be in contact. ``after``: only jobs after that
+    number.
     """
     with read_only(state_dir) as journal:
-        return list(_jobs(journal))
+        return list(_jobs(journal, after))
 
 
 def read_events(
@@ -156,17 +159,20 @@ def _opened(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _jobs(journal: sqlite3.Connection) -> Iterator[JobHistory]:
-    maps = _by_job(journal, "SELECT job, cycle, taken, stats FROM map ORDER BY id")
-    passes = _by_job(journal, "SELECT job, cycle, how, facts FROM pass ORDER BY job, cycle")
+def _jobs(journal: sqlite3.Connection, after: int) -> Iterator[JobHistory]:
+    maps = _by_job(journal, "SELECT job, cycle, taken, stats FROM map WHERE job > ? ORDER BY id", (after,))
+    passes = _by_job(journal, "SELECT job, cycle, how, facts FROM pass WHERE job > ? ORDER BY job, cycle", (after,))
     marks = ", ".join("?" * len(FAULTS))
-    events = _by_job(journal, f"SELECT job, at, name, data FROM event WHERE name IN ({marks}) ORDER BY id", FAULTS)  # noqa: S608
-    for number, *row in journal.execute("SELECT id, name, part_id, started, ended, outcome FROM job ORDER BY id"):
+    sql = f"SELECT job, at, name, data FROM event WHERE job > ? AND name IN ({marks}) ORDER BY id"  # noqa: S608
+    events = _by_job(journal, sql, (after, *FAULTS))
+    jobs = "SELECT id, name, part_id, started, ended, outcome FROM job WHERE id > ? ORDER BY id"
+    for number, *row in journal.execute(jobs, (after,)):
         name, part_id, began_s, ended_s, outcome = row
         run = {cycle: (how, json.loads(facts)) for cycle, how, facts in passes.get(number, ())}
         last = {cycle: (taken, json.loads(stats)) for cycle, taken, stats in maps.get(number, ())}
         hows = [how for how, _ in run.values()]
         yield JobHistory(
+            number=number,
             job=name,
             part_id=part_id,
             began_s=began_s,

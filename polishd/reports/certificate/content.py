@@ -266,6 +266,8 @@ LIBRARIES = ("numpy", "scipy", "matplotlib", "cryptography")
 REMOVED = {"piston": "piston", "tilt": "piston and tilt", "power": "piston, tilt and power"}
 DERIVED = ("report.html", "pictures")
 """Made from the other files of the run folder."""
+ISSUED = "certificate-"
+"""Begin of the names of certificates that were made in the run folder; ``certificate.json`` is of a dwell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -500,7 +502,8 @@ def _versions(run: CertificateRun) -> dict[str, str]:
 def _files(run: CertificateRun) -> Iterator[model.File]:
     for path in sorted(run.path.rglob("*")):
         name = path.relative_to(run.path).as_posix()
-        if path.is_file() and not path.name.startswith(".") and name.partition("/")[0] not in DERIVED:
+        own = path.is_file() and not name.startswith(ISSUED)
+        if own and not path.name.startswith(".") and name.partition("/")[0] not in DERIVED:
             yield model.File(name=name, bytes=path.stat().st_size, sha256=sha256_of(path))
 
 

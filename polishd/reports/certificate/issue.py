@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from polishd.reports.certificate.content import CertificateDraft, CertificateRequest
     from polishd.reports.certificate.options import CertificateOptions
 
-PDF, JSON = ".pdf", ".json"
+CERTIFICATE, PDF, JSON = "certificate-", ".pdf", ".json"
 
 
 def certificate_verb(run: Path, options: CertificateOptions, *, as_json: bool) -> None:
@@ -25,21 +26,30 @@ def certificate_verb(run: Path, options: CertificateOptions, *, as_json: bool) -
     from polishd.reports.certificate.content import CertificateRequest, certificate_content
     from polishd.reports.certificate.sources import find_run
 
-    json_path = _require_new(options.out)
+    if options.out is not None:
+        _require_new(options.out)  # before minutes of work
     key_path, shop = _key_and_shop(run, options)
     key = None if key_path is None else seal.private_key(key_path)
     request = CertificateRequest(
         options.operator, options.customer, options.drawing, options.number, shop, options.wavelength
     )
-    draft = certificate_content(find_run(run, options.job), _require_printable(request))
+    certified = find_run(run, options.job)
+    draft = certificate_content(certified, _require_printable(request))
+    out = options.out or certified.path / certificate_name(draft.content.number)
+    json_path = _require_new(out)
     signed_by = "" if key is None else seal.key_id(key.public_key())
     pdf, pages = _drawn(draft, signed_by)
     digest = hashlib.sha256(pdf).hexdigest()
     content = json.loads(draft.content.model_dump_json(by_alias=True))
-    content["pdf"] = {"name": options.out.name, "sha256": digest, "bytes": len(pdf), "pages": pages}
+    content["pdf"] = {"name": out.name, "sha256": digest, "bytes": len(pdf), "pages": pages}
     certificate = {**content, seal.SEAL: seal.sealed(content, key).model_dump(mode="json")}
-    _write(options.out, pdf, json_path, seal.written(certificate))
-    _report(options.out, certificate, pages, as_json=as_json)
+    _write(out, pdf, json_path, seal.written(certificate))
+    _report(out, certificate, pages, as_json=as_json)
+
+
+def certificate_name(number: str) -> str:
+    """Return the name of a certificate's PDF in the run folder."""
+    return f"{CERTIFICATE}{re.sub(r'[^A-Za-z0-9._-]+', '-', number)}{PDF}"
 
 
 def verify_verb(file: Path, key: Path | None, *, as_json: bool) -> None:

@@ -13,7 +13,10 @@ from typer import Option
 class CertificateOptions:
     """Options of ``polishd certificate make``."""
 
-    out: Annotated[Path, Option("--out", metavar="FILE.pdf", help="New PDF; the JSON goes beside it as FILE.json")]
+    out: Annotated[
+        Path | None,
+        Option("--out", metavar="FILE.pdf", help="New PDF; the JSON goes beside it (default: in the run folder)"),
+    ] = None
     job: Annotated[str | None, Option("--job", metavar="ID", help="Job of CELL.toml (default: the last)")] = None
     key: Annotated[
         Path | None, Option("--key", metavar="FILE", help="Key to sign with (default: the cell's certificate.key)")

@@ -204,8 +204,10 @@ log = logging.getLogger(__name__)
 
 LEAVE_S = 2
 """Time for which the process waits at its end for open streams."""
-NONE = ("none of that job", "no such map")
-"""Messages about missing resources."""
+
+
+class NoSuchResource(ConfigError):
+    """There is no such job, map, plan or file: the answer is 404."""
 
 
 def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> None:
@@ -254,8 +256,10 @@ async def answered(work: Awaitable[Any]) -> Response:
         found = await work
     except JournalDamage as error:
         return refusal(503, str(error))
+    except NoSuchResource as error:
+        return refusal(404, str(error))
     except ConfigError as error:
-        return refusal(404 if any(said in str(error) for said in NONE) else 400, str(error))
+        return refusal(400, str(error))
     except PolishdError as error:
         return refusal(502, str(error))
     return found if isinstance(found, Response) else JsonAnswer(finite(found))

@@ -12,7 +12,7 @@ export function figure(value, significant = 3) {
 }
 export const fixed = (value, decimals) => (missing(value) ? NONE : Number(value).toFixed(decimals));
 export const withUnit = (value, unit, significant = 3) => (missing(value) ? NONE : `${figure(value, significant)}\u00a0${unit}`);
-export const percent = (share) => (missing(share) ? NONE : `${(100 * share).toFixed(share < 0.1 ? 1 : 0)}\u00a0%`);
+export const percent = (share) => (missing(share) ? NONE : `${Number((100 * share).toFixed(share < 0.1 ? 1 : 0))}\u00a0%`);
 
 // A duration: "45 s", "12 min", "3 h 05 min", "2 d 4 h".
 export function duration(seconds) {

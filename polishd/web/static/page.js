@@ -1,14 +1,14 @@
 // The shell of the page: who is signed in, the stream of states, orders, alarms, and the view that the address names.
 //
 // A view is a module views/NAME.js that exports `mount(root, ctx)`, and optionally `styles`: paths of its style sheets.
-// `mount` returns { update(state)?, refresh()?, unmount()? }: `update` at each state (twice a second), `refresh` when
-// something has happened, both only while the view is shown. `ctx` is described at its definition below.
+// `mount` returns { update(state)?, refresh()?, tick()?, unmount()? }: `update` at each state (twice a second), `refresh`
+// when something has happened, `tick` four times a second, also without a connection; all only while it is shown. `ctx` is described at its definition below.
 import { $, box, button, icon, made, put } from "./dom.js";
 import { clock } from "./format.js";
 import { sound } from "./sound.js";
 import { texts } from "./strings.js";
 
-const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"];
+const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"], PANELS = ["approve"]; // panels have no tab
 const LOST_MS = 1200, SAID_MS = 15_000;
 const known = { session: null, state: null, heard: 0, cell: "", jobs: [], cycles: [], alarms: [], journal: [], heardAlarm: null };
 let stream = null;
@@ -39,6 +39,7 @@ const ctx = {
   alarms: () => known.alarms, // rows of /api/alarms
   journal: () => known.journal, // the last events, newest first
   lastOrder, // () -> the last order's event, or null
+  alarmText, // (row of /api/alarms) -> what it is, in words
   mayOperate, // () -> whether the role may resume, approve, acknowledge and change the queue
   order, // (name, path, body) -> the answer; shows what became of it
   resume, // () asks, then resumes
@@ -90,7 +91,7 @@ function leave() {
 async function route(again = false) {
   if (!known.session) return;
   const name = location.hash.slice(1).split("?")[0] || "dashboard";
-  if (!VIEWS.includes(name)) { location.replace("#dashboard"); return; }
+  if (![...VIEWS, ...PANELS].includes(name)) { location.replace("#dashboard"); return; }
   if (name === viewName && !again) { view?.refresh?.(); return; }
   const moved = viewName !== "";
   leave();
@@ -191,20 +192,22 @@ function show() {
   }
   put("age", age === null ? texts.age(null) : texts.age(age + (Number.isFinite(passedS) ? passedS : 0)));
   const needs = Boolean(live) && (live.state === "held" || Boolean(live.approval));
-  put("state", !live ? "" : live.approval ? texts.approval : texts.states[live.state] ?? live.state);
-  $("state").className = `state${needs ? " attend" : ""}${live?.unsafe?.length ? " alarm" : ""}`;
+  put("state", !up ? texts.links[how] : !live ? "" : live.approval ? texts.waitsForApproval : texts.states[live.state] ?? live.state);
+  $("state").className = `state${!up || live?.unsafe?.length ? " is-alarm" : needs ? " attend" : ""}`;
   $("state").dataset.state = live?.state ?? "";
   const set = (id, on) => { if ($(id).disabled === on) $(id).disabled = !on; };
   set("hold", how === "silent" || (up && Boolean(live) && !["held", "finished"].includes(live.state)));
   set("stop", how === "silent" || (up && Boolean(live) && live.state !== "finished"));
   const order = lastOrder();
-  put("ordered", order ? texts.lastOrder(texts[order.data.order] ?? order.data.order, order.data.by || texts.byUnknown, clock(order.at_s)) : "");
+  put("ordered", order ? texts.lastOrder(texts.orders[order.data.order] ?? order.data.order, order.data.by || texts.byUnknown, clock(order.at_s)) : "");
   showAlarms();
   soundLost(how);
   const marks = !up || known.alarms.length ? "\u26a0 " : "";
+  view?.tick?.();
   const title = `${marks}${$("state").textContent || "polishd"} - ${known.cell || "polishd"}`;
   if (document.title !== title) document.title = title;
 }
+function alarmText(one) { return texts.alarmTexts[one.name]?.(one.what) ?? (one.what || one.name.replaceAll("_", " ")); }
 let shownAlarms = "";
 function showAlarms() {
   const worst = known.alarms.find((one) => one.severity === "alarm") ?? known.alarms[0];
@@ -214,8 +217,8 @@ function showAlarms() {
   shownAlarms = key;
   const line = $("alarm-line");
   line.hidden = !worst && !sound.sounding;
-  line.className = `alarm-line ${worst?.severity ?? ""}`;
-  const what = worst ? `${worst.what || worst.name}${texts.moreAlarms(known.alarms.length - 1)}` : "";
+  line.className = `alarm-line sev-${worst?.severity ?? "warning"}`;
+  const what = worst ? `${alarmText(worst)}${texts.moreAlarms(known.alarms.length - 1)}` : "";
   line.replaceChildren(icon("alarm"), made("span", what, "what"),
     ...(sound.sounding ? [button(texts.silence, "", () => { sound.silence(); show(); })] : []),
     ...(worst ? [button(texts.show, "", () => ctx.go("dashboard"))] : []));
@@ -295,11 +298,17 @@ function choices(id, options, chosen, choose) {
     return one;
   }));
   draw();
+  return draw;
 }
 choices("theme", texts.themes, () => window.polishdTheme.choice, (value) => { window.polishdTheme.choice = value; });
-choices("sound", texts.sounds, () => (sound.on ? "on" : "off"), (value) => { sound.on = value === "on"; soundIcon(); });
+const drawSound = choices("sound", texts.sounds, () => (sound.on ? "on" : "off"), (value) => { sound.on = value === "on"; soundIcon(); });
 $("sound-test").addEventListener("click", async () => put("sound-said", (await sound.test()) ? texts.soundPlayed : texts.soundBlocked));
-function soundIcon() { $("settings-icon").setAttribute("href", sound.on ? "#i-settings" : "#i-quiet"); }
+function soundIcon() {
+  $("sound-icon").setAttribute("href", sound.on ? "#i-sound" : "#i-quiet");
+  put("sound-name", sound.on ? texts.soundOn : texts.soundOff);
+  $("sound-button").title = $("sound-name").textContent;
+}
+$("sound-button").addEventListener("click", () => { sound.on = !sound.on; soundIcon(); drawSound(); if (sound.on) sound.test(); say($("sound-name").textContent); });
 soundIcon();
 for (const kind of ["pointerdown", "keydown"]) addEventListener(kind, () => sound.unlock(), { once: true });
 

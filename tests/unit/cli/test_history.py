@@ -58,6 +58,7 @@ def test_the_picture_of_nothing_and_of_months(monkeypatch: pytest.MonkeyPatch, j
     week = 7 * 86400.0
     history = [
         JobHistory(
+            k + 1,
             f"j{k}",
             "P",
             k * week,

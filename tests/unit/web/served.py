@@ -6,7 +6,7 @@ import json
 import os
 import socketserver
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +43,8 @@ class Answers:
     """How often it was asked for what is shown live."""
     live: dict[str, Any] = field(default_factory=dict)
     """That differs from ``LIVE``."""
+    does: Callable[[str, dict[str, Any]], None] = lambda _verb, _args: None
+    """Called with each order: what a test lets the daemon do."""
 
     def answer(self, verb: str, args: dict[str, Any]) -> dict[str, Any]:
         if verb not in {"live", "subscribe"}:
@@ -52,6 +54,7 @@ class Answers:
             return {"ok": True, **LIVE, **self.live}
         if self.hang is not None and verb not in {"hold", "stop"}:
             self.hang.wait(60)
+        self.does(verb, args)
         return {"ok": False, "error": self.refuse} if self.refuse else {"ok": True, "state": "held", "jobs": []}
 
     def tell(self, event: dict[str, Any]) -> None:

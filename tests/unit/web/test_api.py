@@ -31,7 +31,8 @@ def web(tmp_path: Path) -> Iterator[Served]:
 
 def path_of(route: ApiRoute) -> str:
     """With numbers that do not exist."""
-    return re.sub(r"{\w+:int}", "9", route.path).replace("{kind}", "measured")
+    found = re.sub(r"{\w+:int}", "9", route.path).replace("{kind}", "measured")
+    return found.replace("{name}", "report.html").replace("{program}", "ab" * 32)
 
 
 ALL_BUT_THE_STREAM = [one for one in ROUTES if one.path != "/api/events"]

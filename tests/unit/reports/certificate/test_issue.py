@@ -22,6 +22,7 @@ from polishd.reports.certificate.content import CertificateRequest, certificate_
 from polishd.reports.certificate.document import certificate_document
 from polishd.reports.certificate.model import schema
 from polishd.reports.certificate.sources import find_run
+from polishd.web.run_files import RunFiles
 from tests.unit.reports.certificate.conftest import Made
 from tests.unit.said import Polishd
 
@@ -41,6 +42,23 @@ def page_of(files: DemoFiles, request: CertificateRequest) -> str:
 
 def squeezed(text: str) -> str:
     return " ".join(text.split())
+
+
+# the files
+
+
+@pytest.mark.full
+def test_without_out_it_goes_to_the_run_folder_where_the_page_offers_it(whole: Path, polishd: Polishd) -> None:
+    said = polishd("certificate", "make", str(whole), "--number", "Q 7/4", "--json")
+    assert said.code == 0, said.err
+    assert json.loads(said.out)["pdf"] == str(whole / "certificate-Q-7-4.pdf")
+    (offered,) = RunFiles(whole).facts()["certificates"]
+    assert (offered["pdf"], offered["number"], offered["signed"]) == ("certificate-Q-7-4.pdf", "Q 7/4", None)
+    assert polishd("certificate", "make", str(whole), "--number", "Q 7/4").code == 3, "it is never overwritten"
+    again = polishd("certificate", "make", str(whole), "--number", "Q8")
+    assert again.code == 0, again.err
+    files = json.loads((whole / "certificate-Q8.json").read_text())["files"]
+    assert not [one for one in files if one["name"].startswith("certificate-")], "others are no part of the run"
 
 
 # the PDF
