@@ -130,6 +130,7 @@ export function mount(root, ctx) {
       [texts.names.pv, value(measured ? measured.pv_nm : m.high - m.low)], [texts.names.rms, value(measured ? measured.rms_nm : m.rms)],
       [texts.names.low, value(m.low)], [texts.names.high, value(m.high)], ...(m.signed ? [] : [[texts.names.mean, value(m.mean)]]),
       [texts.names.size, `${m.nx} × ${m.ny}`], [texts.names.pitch, `${figure(m.pitch_mm, 2)} mm`],
+      ...(now.look === "flat" && drawn ? [[texts.names.zoom, `${figure(wholeView(m, drawn.plot).mmPerPx / drawn.view.mmPerPx, 1)} ×`]] : []),
     ]);
   }
 
