@@ -1,5 +1,5 @@
-/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library weighs half a
- * megabyte and would still need the axes, the walls and the keys that are written here. */
+/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library adds
+ * several hundred kB and would still need the axes, the walls and the keys that are written here. */
 import { bytesOf, figure, ticks } from "./colormap.js";
 import { colourBar } from "./height_map.js";
 import { contextOf, rgbOf, theme } from "./theme.js";
