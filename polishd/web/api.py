@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import threading
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
@@ -179,11 +179,11 @@ class Api:
     async def map(self, request: Request, _session: HttpSession) -> Any:
         """A map as an array."""
         wanted = MapRequest.of(request.path_params["kind"], request.query_params)
-        return await asyncio.to_thread(self._disk.map, *_cycle(request), wanted)
+        return await _in_thread(self._disk.map, *_cycle(request), wanted)
 
     async def cell(self, request: Request, _session: HttpSession) -> Any:
         """Joints of the robot along a plan, its path, and the part."""
-        return await asyncio.to_thread(self._disk.cell, *_cycle(request), self._config)
+        return await _in_thread(self._disk.cell, *_cycle(request), self._config)
 
     async def psd(self, request: Request, _session: HttpSession) -> Any:
         """Spectrum of a measured map."""
@@ -338,6 +338,11 @@ class _Stream(StreamingResponse):
         """Send until either side ends."""
         with self._share:
             await super().__call__(scope, receive, send)
+
+
+async def _in_thread(read: Callable[..., dict[str, Any]], *arguments: Any) -> JsonAnswer:
+    """A large answer, computed and encoded beside the event loop."""
+    return await asyncio.to_thread(lambda: JsonAnswer(read(*arguments)))
 
 
 def _failed(error: PolishdError) -> JSONResponse:
