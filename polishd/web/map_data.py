@@ -176,7 +176,8 @@ def _of_path(surface: Arrays, plan: Arrays, key: str, px: int) -> _Sampled:
     on_grid = ((row >= 0) & (row < mask.shape[0]))[:, None] & ((column >= 0) & (column < mask.shape[1]))
     aperture = on_grid & mask[np.clip(row, 0, mask.shape[0] - 1)][:, np.clip(column, 0, mask.shape[1] - 1)]
     distance, nearest = scipy.spatial.cKDTree(points).query(np.stack(np.meshgrid(x, y), axis=2))
-    covered = distance <= max(float(np.percentile(distance[aperture], PERCENTILE)) if aperture.any() else 0.0, step)
+    reach = 1.5 * float(np.percentile(distance[aperture], PERCENTILE)) if aperture.any() else 0.0
+    covered = distance <= max(reach, step)
     return _Sampled(np.where(covered, values[nearest], np.nan), aperture, (float(x[0]), float(y[0])), step)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
@@ -26,6 +27,7 @@ from polishd.web.http.static_files import static_files
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
 from polishd.web.part_history import MOST_PAGE, RESULTS, SORTS
+from polishd.web.run_data import LARGEST_PLAN
 from polishd.web.watcher import polling_daemon
 
 # The table of routes: handler and required role.
@@ -146,6 +148,7 @@ QUERIES: Mapping[str, Mapping[str, Any]] = {
         "limit": {"type": "integer", "minimum": 0, "maximum": MOST_PAGE},
     },
     "/api/history/weeks": _PARTS,
+    AT_CYCLE + "/plan": {"points": {"type": "integer", "minimum": 2, "maximum": LARGEST_PLAN}},
     AT_MAP: {
         "px": {"type": "integer", "minimum": LEAST_PX, "maximum": max(ENCODINGS.values())},
         "encoding": {"enum": list(ENCODINGS)},
@@ -239,7 +242,9 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         async with polling_daemon(config.state_dir) as watcher:
             api.watcher = watcher
+            reading = asyncio.get_running_loop().run_in_executor(None, api.read_history)
             yield
+            await reading
 
     async def sign_in(request: Request) -> Response:
         return await answered(api.sign_in(request, rate))

@@ -13,27 +13,30 @@ from tests.system.browser import Page
 
 SIZES = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (390, 844, "light")}
 """Width and height in CSS pixels, and colors."""
-COLORS = 128
+PHONE_PX = 800
+"""Widths below it are those of a phone."""
+COLORS = 96
 """Of a picture: text stays sharp, and a picture has some 40 kB."""
 FREEZE = """
 {
-  const now = %d, Real = Date;
+  const now = NOW, Real = Date;
   globalThis.Date = class extends Real {
     constructor(...given) { super(...(given.length ? given : [now])); }
     static now() { return now; }
   };
-  localStorage.setItem("polishd.sound", "off");
-  const still = document.createElement("style");
   addEventListener("DOMContentLoaded", () => {
     const sheet = new CSSStyleSheet();
-    sheet.replaceSync("*, *::before, *::after { animation: none !important; transition: none !important; caret-color: transparent !important }"
-      + " ::-webkit-scrollbar { display: none }");
+    sheet.replaceSync("*, *::before, *::after { animation: none !important; transition: none !important;"
+      + " caret-color: transparent !important } ::-webkit-scrollbar { display: none }");
     document.adoptedStyleSheets = [sheet];
   });
 }
-""" % round(1000 * NOW_S)  # noqa: UP031 - braces of JavaScript
-OPTIONS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--force-color-profile=srgb", "--lang=en-US",
-           "--font-render-hinting=none", "--disable-lcd-text")  # fmt: skip
+""".replace("NOW", str(round(1000 * NOW_S)))
+SETTLED = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 150))))"
+OPTIONS = (
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--force-color-profile=srgb", "--lang=en-US",
+    "--font-render-hinting=none", "--disable-lcd-text",
+)  # fmt: skip
 """WebGL without a graphics card, and text that does not depend on the screen."""
 
 
@@ -48,25 +51,18 @@ class Camera:
     def aim(self, size: str) -> None:
         """Set one of ``SIZES``."""
         width, height, scheme = SIZES[size]
-        page = self.page
-        page.call(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 800
-        )
-        page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme},
-                                                          {"name": "prefers-reduced-motion", "value": "reduce"}])  # fmt: skip
+        aim(self.page, width, height, scheme)
 
     def look(self) -> bytes:
         """Return what is shown, as PNG, once two looks are the same."""
         last = b""
         for _ in range(40):
-            self.page.run(
-                "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 120))))"
-            )
+            self.page.run(SETTLED)
             now = base64.b64decode(self.page.call("Page.captureScreenshot", format="png")["data"])
             if now == last:
-                return now
+                break
             last = now
-        return last
+        return now
 
     def shoot(self, path: Path) -> int:
         """Write a picture; its bytes. A picture that is the same is not written again."""
@@ -77,3 +73,11 @@ class Camera:
         if not path.exists() or path.read_bytes() != buffer.getvalue():
             path.write_bytes(buffer.getvalue())
         return len(buffer.getvalue())
+
+
+def aim(page: Page, width: int, height: int, scheme: str) -> None:
+    """Set the size of the window, in CSS pixels, and the colors that the system prefers; nothing moves."""
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < PHONE_PX}
+    page.call("Emulation.setDeviceMetricsOverride", **metrics)
+    wanted = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce"}
+    page.call("Emulation.setEmulatedMedia", features=[{"name": k, "value": v} for k, v in wanted.items()])

@@ -10,7 +10,7 @@ import math
 import re
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ from polishd.web import overview, watcher
 from polishd.web.http.users import Role, UserFile, users_path
 from polishd.web.routes import application
 from tests.patience import SOON_S
+from tests.system.browser import Page
 from tests.unit.web.filled import DAY_S, EVENT, HOUR_S, MAP, PASS, FilledCell, facts_of, months, stats_of
 from tests.unit.web.served import Answers, answering
 
@@ -40,6 +41,22 @@ SEGMENT = (
     "INSERT INTO segment (job, cycle, seq, start_s, end_s, touched, recovered, force_n, rpm) VALUES (?,?,?,?,?,?,0,?,?)"
 )
 PHASE = "INSERT INTO phase (job, cycle, phase, started, ended, outcome) VALUES (?,?,?,?,?,?)"
+PHASES = (
+    (0, "measure", 0, 300), (0, "learn", 300, 310), (0, "solve", 310, 400), (0, "plan", 400, 480),
+    (0, "run", 480, 3660),
+    (1, "measure", 3660, 3960), (1, "learn", 3960, 3990), (1, "solve", 3990, 4080), (1, "plan", 4080, 4150),
+)  # fmt: skip
+"""Of the part under way: cycle, phase, begin and end in s."""
+DRAWING = """
+[[tolerance]]
+rms_nm = 2.0
+
+[[tolerance]]
+psd_nm2_mm2 = 0.4
+exponent = 1.5
+periods_above_mm = 1
+periods_below_mm = 20
+"""
 SIZE, PITCH_MM = 201, 0.5
 
 
@@ -107,8 +124,8 @@ class FrozenCell(FilledCell):
         for k, (sql, values) in enumerate(self.rows):
             if sql == PASS:
                 job, cycle, program, facts, began, _, plan = values
-                dwell_s = json.loads(facts)["dwell_s"]
-                self.rows[k] = (sql, (job, cycle, program, facts, began, began + dwell_s * (1.03 + 0.012 * (k % 4)), plan))
+                ended = began + json.loads(facts)["dwell_s"] * (1.03 + 0.012 * (k % 4))
+                self.rows[k] = (sql, (job, cycle, program, facts, began, ended, plan))
 
     def part_under_way(self, *, running: bool) -> int:
         """Add the part under way: two maps, a pass that is done and, ``running``, one that is under way."""
@@ -123,9 +140,7 @@ class FrozenCell(FilledCell):
         done = self._facts(FIRST_NM, 4.1, SECOND_NM, 3150.0)
         plan = self.plan(FIRST_NM, SECOND_NM, 0)
         self.rows.append((PASS, (job, 0, PROGRAM[:-1] + "0", json.dumps(done), began + 480, began + 3660, plan)))
-        for cycle, phase, start, end in ((0, "measure", 0, 300), (0, "learn", 300, 310), (0, "solve", 310, 400),
-                                         (0, "plan", 400, 480), (0, "run", 480, 3660), (1, "measure", 3660, 3960),
-                                         (1, "learn", 3960, 3990), (1, "solve", 3990, 4080), (1, "plan", 4080, 4150)):  # fmt: skip
+        for cycle, phase, start, end in PHASES:
             self.rows.append((PHASE, (job, cycle, phase, began + start, began + end, "done")))
         if running:
             self._pass_under_way(job)
@@ -133,11 +148,11 @@ class FrozenCell(FilledCell):
 
     def _facts(self, before: float, predicted: float, after: float, dwell_s: float) -> dict[str, Any]:
         facts = facts_of(before, predicted, after)
+        rest = {"direction": "across", "on_grid": 0.3}
         lines = [
-            {"direction": "across", "period_mm": period, "amplitude_nm": rms * 1.41, "rms_nm": rms, "rms_high_nm": 2 * rms,
-             "on_grid": 0.3}
+            {**rest, "period_mm": period, "amplitude_nm": 1.41 * rms, "rms_nm": rms, "rms_high_nm": 2 * rms}
             for period, rms in ((1.96, 0.42), (3.3, 0.12))
-        ]  # fmt: skip
+        ]
         facts["forecast"]["ripple"] = {"lines": lines, "radius_error": 0.03}
         return {**facts, "dwell_s": dwell_s, "certificate": {**facts["certificate"], "dwell_total_s": dwell_s}}
 
@@ -156,6 +171,7 @@ class FrozenCell(FilledCell):
         ]
 
 
+ReadingRow = tuple[float, float | None, float | None, float | None]
 PastEvent = tuple[float, str, Mapping[str, Any]]
 """Seconds before now, name of the event, and its data."""
 
@@ -167,6 +183,8 @@ class Scene:
     live: Mapping[str, Any]
     events: tuple[PastEvent, ...] = ()
     """Events after those of every scene."""
+    readings: Sequence[ReadingRow] = ()
+    """Of the last ten minutes."""
     running: bool = True
     """A pass is under way."""
     daemon: bool = True
@@ -182,19 +200,24 @@ def live(**more: Any) -> dict[str, Any]:
         "guard": {"value": True, "text": "closed", "wrong": "", "action": "hold"},
     }
     figures = {
-        "loop_lag_s": (0.002577, 0.05, False), "journal_s": (0.0121, 0.5, False), "state_disk_mb": (81760.0, 210.0, True),
-        "run_disk_mb": (81760.0, 540.0, True), "state_disk_files": (5_120_400.0, 400.0, True), "memory_mb": (21400.0, 2400.0, True),
-    }  # fmt: skip
+        "loop_lag_s": (0.002577, 0.05, False),
+        "journal_s": (0.0121, 0.5, False),
+        "state_disk_mb": (81760.0, 210.0, True),
+        "run_disk_mb": (81760.0, 540.0, True),
+        "state_disk_files": (5_120_400.0, 400.0, True),
+        "memory_mb": (21400.0, 2400.0, True),
+    }
     health = {
         name: {"name": name, "value": value, "limit": limit, "advice": "", "least": least, "fits": True}
         for name, (value, limit, least) in figures.items()
     }
     force = {"force_n": 12.03, "setpoint_n": 12.0, "in_contact": True, "retracted": False, "fault": 0, "age_s": 0.01}
     robot = {"state": "running", "executed": DONE, "buffer_s": 3.2, "age_s": 0.02}
-    known = {"state": "polishing", "reason": "", "next": "", "part": PART, "job": JOB, "cycle": 1, "phase": "run",
-             "pressing": True, "leaving": "", "approval": "", "unsafe": [], "map_refused": None, "ages_s": ages,
-             "signals": signals, "health": health,
-             "readings": {"force": force, "speed": {"rpm": 1001.0, "fault": 0, "age_s": 0.05}, "sensed": None, "robot": robot}}  # fmt: skip
+    speed = {"rpm": 1001.0, "fault": 0, "age_s": 0.05}
+    known = {"state": "polishing", "reason": "", "next": "", "part": PART, "job": JOB, "cycle": 1, "phase": "run"}
+    safety = {"pressing": True, "leaving": "", "approval": "", "unsafe": [], "map_refused": None}
+    rest = {"ages_s": ages, "signals": signals, "health": health}
+    known |= {**safety, **rest, "readings": {"force": force, "speed": speed, "sensed": None, "robot": robot}}
     return {**known, **more}
 
 
@@ -233,9 +256,9 @@ HELD: tuple[PastEvent, ...] = (
 )
 
 
-def readings(contact_s: float, end_s: float = 0.0) -> list[tuple[float, float | None, float | None, float | None]]:
+def readings(contact_s: float, end_s: float = 0.0) -> list[ReadingRow]:
     """Force and speed of ten minutes; in contact from so many seconds ago until ``end_s`` ago."""
-    rows: list[tuple[float, float | None, float | None, float | None]] = []
+    rows: list[ReadingRow] = []
     for k in range(1200):
         back_s = 600 - 0.5 * k
         if not end_s < back_s <= contact_s:  # off the part it is not read
@@ -247,12 +270,41 @@ def readings(contact_s: float, end_s: float = 0.0) -> list[tuple[float, float | 
     return rows
 
 
+@dataclass(frozen=True, slots=True)
+class FrozenServer:
+    """The page's server of a scene."""
+
+    url: str
+    token: str
+    """Of anna, who operates."""
+    daemon: Answers | None
+    """Its daemon, where the scene has one."""
+
+    def sign_in(self, page: Page, view: str = "dashboard") -> None:
+        """Open a view as anna."""
+        page.go(self.url)
+        page.until("!document.getElementById('sign-in').hidden")
+        page.run(SIGN_IN % self.token)
+        self.show(page, view)
+
+    def show(self, page: Page, view: str) -> None:
+        """Load the page anew with that view."""
+        page.go("about:blank")
+        page.go(f"{self.url}#{view}")
+        page.until("!document.getElementById('main').hidden && document.getElementById('view').firstElementChild")
+        page.until(f"document.querySelector('#view > .view-{view.partition('?')[0]}')")
+
+
+SIGN_IN = """fetch('/api/session', { method: 'POST', headers: { 'content-type': 'application/json' },
+    body: JSON.stringify({ token: '%s' }) }).then(() => true)"""
+
+
 @contextmanager
-def frozen_server(folder: Path, scene: Scene, rows: list[Any]) -> Iterator[tuple[str, str, CellConfig]]:
-    """Serve that scene inside the block: address, token of an operator, and the cell."""
+def frozen_server(folder: Path, scene: Scene) -> Iterator[FrozenServer]:
+    """Serve that scene inside the block."""
     path = write_demo(folder / "cell", None, 2.0, 4, None).cell
-    drawing = "[[tolerance]]\nrms_nm = 2.0\n[[tolerance]]\npsd_nm2_mm2 = 0.4\nexponent = 1.5\nperiods_above_mm = 1\nperiods_below_mm = 20\n"
-    path.write_text(re.sub(r"(?m)^tolerance_nm = .*$", "", path.read_text()).replace("bench-cell", "cell-7") + drawing)
+    text = re.sub(r"(?m)^tolerance_nm = .*$", "", path.read_text()).replace("bench-cell", "cell-7")
+    path.write_text(text + DRAWING)
     config = load_config(path)
     cell = FrozenCell(config, maps=False)
     for _ in months(cell, 90, NOW_S - 2 * DAY_S):
@@ -271,15 +323,15 @@ def frozen_server(folder: Path, scene: Scene, rows: list[Any]) -> Iterator[tuple
         (config.state_dir / "ending.json").write_text(json.dumps(scene.ending))
     token = UserFile(users_path(config)).add("anna", Role.OPERATE)
     clock = SimpleNamespace(time=lambda: NOW_S, monotonic=time.monotonic)
+    answers: Answers | None = None
     with ExitStack() as stack:
         for module in (overview, watcher):
             stack.enter_context(patch.object(module, "time", clock))
-        stack.enter_context(patch.object(watcher.Watcher, "readings", lambda _self: rows))
+        stack.enter_context(patch.object(watcher.Watcher, "readings", lambda _self: list(scene.readings)))
         if scene.daemon:
-            answers: Answers = stack.enter_context(answering(config.state_dir))
+            answers = stack.enter_context(answering(config.state_dir))
             answers.live |= scene.live
-        url = stack.enter_context(_serving(config))
-        yield url, token, config
+        yield FrozenServer(stack.enter_context(_serving(config)), token, answers)
 
 
 @contextmanager

@@ -66,8 +66,12 @@ def signed_in(page: Page, url: str, token: str) -> None:
     page.until("!document.getElementById('main').hidden")
 
 
-FRESH = "[...document.querySelectorAll('#live tr:not(.old)')].some((row) => row.cells[0].textContent === 'Force')"
-STATE = "document.getElementById('state').textContent === '{}'"
+FRESH = "document.querySelector('#tile-force:not(.old) .value').textContent.endsWith('N')"
+STATE = "document.getElementById('state').dataset.state === '{}' && !document.body.classList.contains('stale')"
+HOLD_BECAUSE = """fetch('/api/session').then((one) => one.json()).then((session) => fetch('/api/orders/hold', {{
+    method: 'POST', headers: {{ 'content-type': 'application/json', 'x-csrf-token': session.csrf }},
+    body: JSON.stringify({{ reason: {!r} }}) }}))"""
+"""Hold as another page orders it, with a reason."""
 
 
 def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path: Path) -> None:
@@ -81,24 +85,27 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
             with Daemon(files) as daemon:
                 page.until(FRESH)
                 page.until("document.getElementById('lost').hidden")
-                page.until("document.querySelectorAll('#passes tr').length > 0")
+                page.until("document.querySelectorAll('#convergence .u-wrap').length > 0")
                 page.until("document.getElementById('map-said').textContent.includes('nm')")
                 if PICTURE:
                     page.until("document.getElementById('done').value > 0.3")
                     page.picture(Path(PICTURE), 1500)
-                page.run(f"document.getElementById('reason').value = {part!r}")
                 page.press("hold")
                 page.until(STATE.format("held"))
-                page.until("document.getElementById('journal').textContent.includes('anna (web)')")
-                page.until("document.getElementById('why').textContent.includes('onerror')")
+                page.until("document.getElementById('journal').textContent.includes('Hold by anna (web)')")
+                page.until("document.getElementById('guide').dataset.guide === 'ordered'")
+                page.run(HOLD_BECAUSE.format(part))
+                page.until("document.getElementById('guide').textContent.includes('onerror')")
                 page.press("resume")
+                page.until("document.getElementById('confirm').open")
+                page.press("confirm-yes")
                 page.until(STATE.format("polishing"))
                 daemon.process.send_signal(signal.SIGKILL)
                 killed_s = time.monotonic()
                 page.until("!document.getElementById('lost').hidden")
                 took_s = time.monotonic() - killed_s
                 assert page.run("document.body.classList.contains('stale')")
-                page.until("[...document.querySelectorAll('#orders button')].every((one) => one.disabled)")
+                page.until("[...document.querySelectorAll('.order')].every((one) => one.disabled)")
                 cores = os.cpu_count() or 1
                 assert took_s < SEEN_S or os.getloadavg()[0] > cores / 2, took_s
             assert page.requests
@@ -181,4 +188,4 @@ def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:
             signed_in(page, url, token)
             page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")
         page.until("document.getElementById('lost').textContent.includes('No connection')")
-        page.until("[...document.querySelectorAll('#orders button')].every((one) => one.disabled)")
+        page.until("[...document.querySelectorAll('.order')].every((one) => one.disabled)")

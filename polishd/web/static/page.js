@@ -192,8 +192,8 @@ function show() {
   }
   put("age", age === null ? texts.age(null) : texts.age(age + (Number.isFinite(passedS) ? passedS : 0)));
   const needs = Boolean(live) && (live.state === "held" || Boolean(live.approval));
-  put("state", !live ? "" : live.approval ? texts.waitsForApproval : texts.states[live.state] ?? live.state);
-  $("state").className = `state${needs ? " attend" : ""}${live?.unsafe?.length ? " alarm" : ""}`;
+  put("state", !up ? texts.links[how] : !live ? "" : live.approval ? texts.waitsForApproval : texts.states[live.state] ?? live.state);
+  $("state").className = `state${!up || live?.unsafe?.length ? " is-alarm" : needs ? " attend" : ""}`;
   $("state").dataset.state = live?.state ?? "";
   const set = (id, on) => { if ($(id).disabled === on) $(id).disabled = !on; };
   set("hold", how === "silent" || (up && Boolean(live) && !["held", "finished"].includes(live.state)));

@@ -29,7 +29,7 @@ export const texts = {
   noView: "This view is not part of this version of the page.",
   age: (s) => (s === null || s === undefined ? "no data yet" : s < 1.5 ? "live" : s < 60 ? `${Math.round(s)} s old` : `${Math.round(s / 60)} min old`),
   states: { starting: "Starting", idle: "Ready", changing: "Part change", polishing: "Working", held: "Held", finished: "Finished" },
-  waitsForApproval: "Waits for approval",
+  waitsForApproval: "Waits for approval", links: { page: "No connection", none: "No daemon", silent: "No answer" },
   alarmTexts: { plan_awaiting_approval: () => "A plan waits for approval", part_requested: (part) => `Part ${part} is requested`, notification_failed: (error) => `Notifications fail: ${error}` },
 
   // dashboard
@@ -105,7 +105,7 @@ export const texts = {
 
   // maps
   maps: {
-    title: "Maps", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colours: "Colours", ends: "Colours end at", outside: "Outside the clear aperture",
+    look: "View", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colours: "Colours", ends: "Colours end at", outside: "Outside the clear aperture",
     kinds: { measured: "Measured", predicted: "Predicted", residual: "Residual", removal: "Removal", dwell: "Dwell", gamma: "Gamma" },
     about: {
       measured: "Heights that the instrument measured, mean removed.", predicted: "Surface that the plan of this pass expects.",
@@ -116,10 +116,10 @@ export const texts = {
     scales: { auto: "99.5 % of the values", full: "Least and greatest", first: "As the first measurement" },
     hide: { dim: "Pale", hide: "Hidden", show: "Full colour" },
     path: "Path of the tool", smooth: "Interpolate between samples", outline: "Edge of the clear aperture",
-    zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", here: "Cursor", figures: "In the clear aperture",
+    zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", figures: "In the clear aperture",
     names: { pv: "PV", rms: "RMS", low: "Least", high: "Greatest", mean: "Mean", pitch: "Sample pitch", size: "Samples", zoom: "Zoom" },
     cycle: (number, rms) => `${number}: ${rms}`, first: "before polishing", after: (number) => `after pass ${number}`,
-    noJob: "There is no measurement yet.", none: "There is no such map", noData: "no data here", inside: "in the clear aperture", beyond: "outside the clear aperture",
+    noJob: "There is no measurement yet.", none: "There is no such map", noData: "no data here", beyond: "outside the clear aperture",
     oldPlan: "The daemon keeps the plan of a job until the next job begins.",
     canvas: (kind, unit) => `Map, ${kind}${unit ? `, ${unit}` : ""}. Arrow keys move the cursor, with Shift ten samples. Plus, minus: zoom. 0: all.`,
     solidCanvas: (kind) => `Surface, ${kind}. Arrow keys turn it, with Shift they shift it. Plus, minus: zoom. 0: from the start.`,
@@ -132,14 +132,13 @@ export const texts = {
 
   // cell
   cellView: {
-    title: "Cell", canvas: "Robot, part and path. Arrow keys turn the view, with Shift they shift it. Plus, minus: zoom. 0: from the start.",
-    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", pass: "Pass", follow: "Follow the tool", point: "Point of the path",
-    colour: "Dwell per point", block: "Block", tip: "Tip, base frame", now: "Tool now", shown: "Shown", state: "Contact", robot: "Robot",
+    canvas: "Robot, part and path. Arrow keys turn the view, with Shift they shift it. Plus, minus: zoom. 0: from the start.",
+    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", focus: "Centre", focuses: { cell: "Whole cell", part: "Part" }, pass: "Pass", follow: "Follow the tool", point: "Point of the path",
+    colour: "Dwell per point", block: "Block", tip: "Tip, base frame", shown: "Shown", state: "Contact", robot: "Robot",
     robots: { hybrid: "hybrid, 3 UPS and UP with C/A wrist", serial: "six-axis arm", measured: "measured compliance, no kinematics" },
-    on: "tool on the part", off: "tool off the part", notRunning: "no pass runs", rim: "part", noPlan: "There is no plan yet.",
+    on: "tool on the part", off: "tool off the part", notRunning: "no pass runs", noPlan: "There is no plan yet.",
     nominal: "Stick figure from the cell's kinematics, at nominal poses: the calibrated seat of the part and the tool's deflection are not in it.",
     keys: "Drag or arrow keys turn the view; with Shift they shift it. Wheel, pinch, + and − zoom; 0 starts again.",
-    link: { base: "base", limb: "limb", arm: "arm", platform: "platform", tool: "tool" },
   },
 
   // queue
@@ -153,7 +152,7 @@ export const texts = {
     watchOnly: "Your role may look at the queue. The role operate may change it.",
     states: { waiting: "Waiting", "under way": "At the machine", accepted: "Accepted", rejected: "Rejected", "set aside": "Set aside", removed: "Removed" },
     held: "Held", polishing: "Working", changing: "Part change", approval: "Waits for approval", lookAtPlan: "A plan waits for approval: look at it", allParts: (n) => `All ${n} parts`,
-    heldWhy: (reason) => `Held: ${reason || "by an operator"}`,
+    ownJob: "The job of the cell's own file. It is in no queue.", heldWhy: (reason) => `Held: ${reason || "by an operator"}`,
     shop: "From the shop. It begins after the shop has confirmed it.",
     fileProblem: "This job's file does not fit the cell's file any more:",
     since: (took) => `for ${took}`, startsNow: "Next", starts: (at) => `starts about ${at}`, startsAfter: (at) => `after Resume; would start about ${at}`,

@@ -48,9 +48,9 @@ export function sign(text, meaning, clicked) {
 
 // A list of names and values; show([[name, value], ...]).
 export function facts(title) {
-  const box = box("section", "m-facts"), list = made("dl");
-  box.append(made("h3", title), list);
-  box.show = (rows) => {
+  const section = box("section", "m-facts"), list = made("dl");
+  section.append(made("h3", title), list);
+  section.show = (rows) => {
     if (list.children.length !== 2 * rows.length) list.replaceChildren(...rows.flatMap(() => [made("dt"), made("dd")]));
     rows.forEach(([name, value], k) => {
       const [dt, dd] = [list.children[2 * k], list.children[2 * k + 1]];
@@ -58,7 +58,7 @@ export function facts(title) {
       if (dd.textContent !== value) dd.textContent = value;
     });
   };
-  return box;
+  return section;
 }
 
 export function canvas(label, kind = "") {

@@ -3,12 +3,13 @@ import { bytesOf, css, figure, tableOf, ticks } from "./colormap.js";
 import { contextOf, theme } from "./theme.js";
 
 const DECODED = new WeakMap(), PAINTED = new WeakMap();
-const LEFT = 48, BOTTOM = 38, TOP = 10, BAR = 16, BAR_SPACE = 78;
+const LEFT = 48, BOTTOM = 38, TOP = 10, BAR = 16, BAR_SPACE = 76;
 
 const bytesOfText = (text) => Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
 
 // An answer of /map in either encoding as typed arrays: values (with no NaN beside data), known and aperture as 0 or 1.
 export function decodeMap(data) {
+  if (data.filled) return data;
   if (DECODED.has(data)) return DECODED.get(data);
   const { nx, ny } = data, count = nx * ny;
   const values = new Float32Array(count), known = new Uint8Array(count), aperture = new Uint8Array(count);
@@ -64,21 +65,50 @@ export function profileOf(map, axis, at) {
   return line;
 }
 
-// The edge of the clear aperture as line segments in mm, half-way between a sample inside and one outside.
+// The edge of the clear aperture as closed lines [[x, y], ...] in mm, half-way between a sample inside and one outside,
+// smoothed by less than half a sample: the edge of the part has no steps.
+const SMOOTH = [1, 4, 6, 4, 1], ROUNDS = 8;
+
 function outlineOf(map) {
-  const { nx, ny, aperture } = map, segments = [];
+  const { nx, ny, aperture } = map, next = new Map(), lines = [];
   const inside = (i, j) => i >= 0 && j >= 0 && i < ny && j < nx && aperture[i * nx + j] === 1;
+  const name = (i, j) => `${i},${j}`; // of an edge's middle, in half samples
   for (let i = -1; i < ny; i++) for (let j = -1; j < nx; j++) {
     const corners = [inside(i, j), inside(i, j + 1), inside(i + 1, j + 1), inside(i + 1, j)];
-    const edges = [[j + 0.5, i], [j + 1, i + 0.5], [j + 0.5, i + 1], [j, i + 0.5]].filter((_, k) => corners[k] !== corners[(k + 1) % 4]);
-    const saddle = edges.length === 4 && corners[0];
-    const order = saddle ? [0, 1, 2, 3] : [0, 3, 1, 2];
-    for (let k = 0; k + 1 < edges.length; k += 2) {
-      const [a, b] = edges.length === 4 ? [edges[order[k]], edges[order[k + 1]]] : edges;
-      segments.push([xOf(map, a[0]), yOf(map, a[1]), xOf(map, b[0]), yOf(map, b[1])]);
+    const middles = [[2 * i, 2 * j + 1], [2 * i + 1, 2 * j + 2], [2 * i + 2, 2 * j + 1], [2 * i + 1, 2 * j]];
+    // from each edge where the inside begins, clockwise, to the next edge where it ends
+    for (let k = 0; k < 4; k++) {
+      if (corners[k] || !corners[(k + 1) % 4]) continue;
+      let e = (k + 1) % 4;
+      while (!corners[e] || corners[(e + 1) % 4]) e = (e + 1) % 4;
+      next.set(name(...middles[k]), { at: middles[k], to: middles[e] });
     }
   }
-  return segments;
+  while (next.size) {
+    let [key] = next.keys();
+    const line = [];
+    for (let one = next.get(key); one; one = next.get(key)) {
+      line.push([map.x0_mm + (one.at[1] / 2) * map.pitch_mm, map.y0_mm - (one.at[0] / 2) * map.pitch_mm]);
+      next.delete(key);
+      key = name(...one.to);
+    }
+    lines.push(line);
+  }
+  return lines.map((line) => smoothed(line, map.pitch_mm / 2));
+}
+
+function smoothed(line, most) {
+  const n = line.length;
+  if (n < 24) return line;
+  let found = line;
+  for (let round = 0; round < ROUNDS; round++) {
+    const was = found;
+    found = was.map((_, k) => [0, 1].map((c) => SMOOTH.reduce((sum, weight, m) => sum + weight * was[(k + m - 2 + n) % n][c], 0) / 16));
+  }
+  return found.map((p, k) => {
+    const [dx, dy] = [p[0] - line[k][0], p[1] - line[k][1]], away = Math.hypot(dx, dy), by = away > most ? most / away : 1;
+    return [line[k][0] + dx * by, line[k][1] + dy * by];
+  });
 }
 
 // What the whole map takes, in mm: [left, bottom, right, top].
@@ -115,14 +145,21 @@ export function drawHeightMap(canvas, data, options = {}) {
   const view = options.view ?? wholeView(map, plot);
   const toPx = (x, y) => [plot.x + plot.w / 2 + (x - view.x) / view.mmPerPx, plot.y + plot.h / 2 - (y - view.y) / view.mmPerPx];
   const toMm = (px, py) => [view.x + (px - plot.x - plot.w / 2) * view.mmPerPx, view.y - (py - plot.y - plot.h / 2) * view.mmPerPx];
-  const picture = painted(canvas, map, { colours, scale, outside, smooth: options.smooth !== false, view, plot, dpr });
-  g.drawImage(picture, plot.x, plot.y, plot.w, plot.h);
+  const picture = painted(canvas, map, { colours, scale, smooth: options.smooth !== false, view, plot, dpr });
   g.save();
   g.beginPath();
   g.rect(plot.x, plot.y, plot.w, plot.h);
   g.clip();
-  if (options.outline !== false) strokeSegments(g, map.outline, toPx, ink.text);
-  if (options.path) strokePath(g, options.path, toPx);
+  g.globalAlpha = { hide: 0, dim: 0.28, show: 1 }[outside];
+  if (map.outline.length || outside === "show") g.drawImage(picture, plot.x, plot.y, plot.w, plot.h);
+  g.globalAlpha = 1;
+  const edge = edgeOf(map.outline, toPx);
+  g.save();
+  g.clip(edge, "evenodd");
+  g.drawImage(picture, plot.x, plot.y, plot.w, plot.h);
+  g.restore();
+  if (options.outline !== false) { g.strokeStyle = ink.text; g.lineWidth = 1.25; g.stroke(edge); }
+  if (options.path) strokePath(g, options.path, toPx, view.mmPerPx);
   if (options.cursor) crosshair(g, plot, toPx(...options.cursor));
   if (options.tool) ring(g, toPx(...options.tool));
   g.restore();
@@ -136,8 +173,8 @@ export function drawHeightMap(canvas, data, options = {}) {
 
 // The picture of the values alone, kept until something of it changes: a moved cursor paints nothing anew.
 function painted(canvas, map, how) {
-  const { view, plot, dpr, scale, outside } = how;
-  const key = JSON.stringify([how.colours, scale, outside, how.smooth, view, plot, dpr]);
+  const { view, plot, dpr, scale } = how;
+  const key = JSON.stringify([how.colours, scale, how.smooth, view, plot, dpr]);
   const kept = PAINTED.get(canvas);
   if (kept?.map === map && kept.key === key) return kept.picture;
   const picture = kept?.picture ?? document.createElement("canvas");
@@ -145,9 +182,9 @@ function painted(canvas, map, how) {
   picture.width = w;
   picture.height = h;
   const image = new ImageData(w, h), out = image.data, table = bytesOf(how.colours);
-  const { nx, ny, filled, known, aperture } = map, per = (view.mmPerPx * (plot.w / w)) / map.pitch_mm;
+  const { nx, ny, filled, known } = map, per = (view.mmPerPx * (plot.w / w)) / map.pitch_mm;
   const left = columnOf(map, view.x) - (w / 2 - 0.5) * per, top = rowOf(map, view.y) - (h / 2 - 0.5) * per;
-  const span = 1023 / (scale[1] - scale[0] || 1), faint = outside === "hide" ? 0 : outside === "dim" ? 70 : 255;
+  const span = 1023 / (scale[1] - scale[0] || 1);
   for (let py = 0; py < h; py++) {
     const r = top + py * per;
     if (r <= -0.5 || r >= ny - 0.5) continue;
@@ -160,12 +197,11 @@ function painted(canvas, map, how) {
       const k = i * nx + j, right = nx > 1 ? 1 : 0, a = (1 - u) * (1 - v), b = u * (1 - v), d = (1 - u) * v, e = u * v;
       if (known[k] * a + known[k + right] * b + known[k + below] * d + known[k + below + right] * e < 0.5) continue;
       const value = filled[k] * a + filled[k + right] * b + filled[k + below] * d + filled[k + below + right] * e;
-      const inner = aperture[k] * a + aperture[k + right] * b + aperture[k + below] * d + aperture[k + below + right] * e >= 0.5;
       const t = 3 * Math.min(Math.max(Math.round((value - scale[0]) * span), 0), 1023), o = 4 * (py * w + px);
       out[o] = table[t];
       out[o + 1] = table[t + 1];
       out[o + 2] = table[t + 2];
-      out[o + 3] = inner ? 255 : faint;
+      out[o + 3] = 255;
     }
   }
   picture.getContext("2d").putImageData(image, 0, 0);
@@ -173,19 +209,26 @@ function painted(canvas, map, how) {
   return picture;
 }
 
-function strokeSegments(g, segments, toPx, colour) {
-  g.strokeStyle = colour;
-  g.lineWidth = 1.25;
-  g.beginPath();
-  for (const [ax, ay, bx, by] of segments) { g.moveTo(...toPx(ax, ay)); g.lineTo(...toPx(bx, by)); }
-  g.stroke();
+function edgeOf(outline, toPx) {
+  const edge = new Path2D();
+  for (const line of outline) {
+    line.forEach(([x, y], k) => (k ? edge.lineTo(...toPx(x, y)) : edge.moveTo(...toPx(x, y))));
+    edge.closePath();
+  }
+  return edge;
 }
 
-function strokePath(g, path, toPx) {
+// Thin beside the distance of its lines, so that the map stays readable under it.
+function strokePath(g, path, toPx, mmPerPx) {
   g.beginPath();
   for (let k = 0; k < path.x_mm.length; k++) g.lineTo(...toPx(path.x_mm[k], path.y_mm[k]));
   g.lineJoin = "round";
-  for (const [colour, wide] of [["rgb(255 255 255 / .5)", 1.6], ["rgb(0 0 0 / .65)", 0.6]]) { g.strokeStyle = colour; g.lineWidth = wide; g.stroke(); }
+  const near = mmPerPx < 0.12;
+  for (const [colour, wide] of near ? [["rgb(255 255 255 / .6)", 2], ["rgb(0 0 0 / .75)", 0.8]] : [["rgb(0 0 0 / .45)", 0.5]]) {
+    g.strokeStyle = colour;
+    g.lineWidth = wide;
+    g.stroke();
+  }
 }
 
 function crosshair(g, plot, [x, y]) {
@@ -275,7 +318,7 @@ export function colourBar(g, box, map, colours, scale, ink) {
     g.fillText(figure(value, digits), box.x + box.w + 7, y);
   }
   g.stroke();
-  g.textAlign = "right";
+  g.textAlign = "center";
   g.textBaseline = "top";
-  if (map.unit) g.fillText(map.unit, box.x + box.w + 60, box.y + box.h + 6);
+  if (map.unit) g.fillText(map.unit, box.x + box.w / 2, box.y + box.h + 6);
 }

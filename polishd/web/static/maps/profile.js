@@ -24,7 +24,7 @@ export function drawProfile(canvas, line, how) {
   g.lineWidth = 1;
   g.strokeStyle = ink.line;
   g.strokeRect(box.x + 0.5, box.y + 0.5, box.w - 1, box.h - 1);
-  const { values, digits } = ticks(low, high, upright ? box.w / 48 : box.h / 32);
+  const { values, digits } = ticks(low, high, upright ? box.w / 62 : box.h / 32);
   g.fillStyle = ink.muted;
   for (const value of values) {
     const [x, y] = place(how.from, value);

@@ -1,5 +1,6 @@
 // A cell on a canvas: floor, part, path coloured by dwell, robot as a stick figure, and the tool.
 import { css, figure, ticks } from "./colormap.js";
+import { ring } from "./height_map.js";
 import { contextOf, theme } from "./theme.js";
 
 const WIDE = { base: 2, limb: 5, arm: 8, platform: 2.5, tool: 6 };
@@ -20,9 +21,9 @@ export function jointsAt(poses, block) {
   return joints[k].map((p, n) => p.map((value, c) => value * (1 - t) + joints[end][n][c] * t));
 }
 
-// Middle and radius of all that is drawn: of the part alone where ``part`` is true.
-export function sceneOf(cell, hall, part = false) {
-  const points = (part ? cell.path.mm : [...cell.path.mm, ...cell.poses.joints_mm.filter((_, k) => k % 40 === 0).flat()]).map(hall);
+// Middle and radius of what is looked at, "part" or "cell", and the height of the floor.
+export function sceneOf(cell, hall, what) {
+  const points = (what === "part" ? cell.path.mm : [...cell.path.mm, ...cell.poses.joints_mm.filter((_, k) => k % 40 === 0).flat()]).map(hall);
   const ends = [0, 1, 2].map((c) => points.reduce(([low, high], p) => [Math.min(low, p[c]), Math.max(high, p[c])], [Infinity, -Infinity]));
   const center = ends.map(([low, high]) => (low + high) / 2);
   return { center, radius: Math.max(1, points.reduce((most, p) => Math.max(most, Math.hypot(...p.map((value, c) => value - center[c]))), 0)), floor: ends[2][0] };
@@ -135,7 +136,7 @@ function tool(g, project, cell, tip, touching, ink, camera, width, height) {
   g.beginPath();
   g.arc(x, y, r, 0, 7);
   g.fillStyle = touching ? ink.warn : ink.accent;
-  g.globalAlpha = touching ? 0.75 : 0.25;
+  g.globalAlpha = touching ? 0.5 : 0.2;
   g.fill();
   g.globalAlpha = 1;
   g.strokeStyle = touching ? ink.warn : ink.accent;
@@ -163,6 +164,29 @@ function triad(g, camera, height, hall, ink) {
     g.stroke();
     g.fillText("xyz"[k], at[0] + x * 36, at[1] - y * 36);
   });
+}
+
+// The part from above in a corner of the canvas: the path by dwell, and the tool. The robot is some twenty times larger.
+export function drawInset(canvas, { cell, hall, k, touching, limits }) {
+  if (!cell.part) return;
+  const ink = theme(canvas), g = canvas.getContext("2d"), width = canvas.clientWidth, side = Math.max(96, Math.min(220, width * 0.24));
+  const n = hall(cell.part.normal), c = hall(cell.part.center_mm), length = (v) => Math.hypot(...v) || 1;
+  const right = [1 - n[0] * n[0], -n[0] * n[1], -n[0] * n[2]].map((value, _, v) => value / length(v));
+  const up = [n[1] * right[2] - n[2] * right[1], n[2] * right[0] - n[0] * right[2], n[0] * right[1] - n[1] * right[0]];
+  const plane = (p) => { const q = hall(p).map((value, axis) => value - c[axis]); return [right, up].map((row) => row[0] * q[0] + row[1] * q[1] + row[2] * q[2]); };
+  const spread = cell.path.mm.reduce((most, p) => Math.max(most, ...plane(p).map(Math.abs)), 1), scale = (0.46 * side) / spread, [x0, y0] = [width - side / 2 - 2, side / 2 + 2];
+  const project = (p) => { const [x, y] = plane(p); return [x0 + x * scale, y0 - y * scale]; };
+  g.fillStyle = ink.card;
+  g.strokeStyle = ink.line;
+  g.lineWidth = 1;
+  g.fillRect(x0 - side / 2, y0 - side / 2, side, side);
+  g.strokeRect(x0 - side / 2, y0 - side / 2, side, side);
+  path(g, project, cell.path, limits, side);
+  polygon(g, cell.part.rim_mm.map(project));
+  g.strokeStyle = ink.text;
+  g.lineWidth = 1.25;
+  g.stroke();
+  ring(g, project(cell.path.mm[k]), touching ? 7 : 5);
 }
 
 // The colours of the path as a bar that lies.

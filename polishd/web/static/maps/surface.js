@@ -1,10 +1,11 @@
-/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library weighs half a
- * megabyte and would still need the axes, the walls and the keys that are written here. */
+/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library adds
+ * several hundred kB and would still need the axes, the walls and the keys that are written here. */
 import { bytesOf, figure, ticks } from "./colormap.js";
 import { colourBar } from "./height_map.js";
-import { contextOf, theme } from "./theme.js";
+import { contextOf, rgbOf, theme } from "./theme.js";
 
-const MOST = 256, RELIEF = 0.32;
+const MOST = 256, RELIEF = 0.24;
+const UNIFORMS = ["axes", "lens", "frame", "relief", "scale", "body"];
 const VERTEX = `#version 300 es
 in vec2 place; in float value; in vec2 slope; in float wall;
 uniform mat3 axes; uniform vec2 lens; uniform vec4 frame; uniform vec3 relief; uniform vec2 scale;
@@ -27,7 +28,7 @@ void main() {
   vec3 n = normalize(normal), sun = normalize(vec3(-0.5, 0.75, -0.65)), half_way = normalize(sun + vec3(0.0, 0.0, -1.0));
   float light = 0.5 + 0.55 * max(dot(n, sun), 0.0), gloss = 0.16 * pow(max(dot(n, half_way), 0.0), 24.0);
   vec3 paint = texture(table, vec2(clamp(shade, 0.001, 0.999), 0.5)).rgb;
-  colour = side > 0.5 ? vec4(body, 1.0) : vec4(paint * light + gloss, 1.0);
+  colour = side > 0.5 ? vec4(body * 0.92, 1.0) : vec4(paint * light + gloss, 1.0);
 }`;
 
 export class Surface {
@@ -39,6 +40,7 @@ export class Surface {
     this.gl = canvas.getContext("webgl2", { antialias: true, preserveDrawingBuffer: true, alpha: true });
     if (!this.gl) throw new Error("no WebGL 2");
     this.program = programOf(this.gl);
+    this.places = Object.fromEntries(UNIFORMS.map((name) => [name, this.gl.getUniformLocation(this.program, name)]));
     this.count = 0;
   }
 
@@ -76,7 +78,7 @@ export class Surface {
     const [w, h] = [Math.max(1, Math.round(width * dpr)), Math.max(1, Math.round(height * dpr))];
     if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
     const shown = width - 84, middle = (box.low + box.high) / 2, rise = (2 * RELIEF * factor) / ((box.high - box.low) || 1);
-    const bottom = -RELIEF * factor - 0.06, { k, far } = camera.lens(shown, height), set = (name) => gl.getUniformLocation(program, name);
+    const bottom = -RELIEF * factor - 0.06, { k, far } = camera.lens(shown, height), set = (name) => this.places[name];
     gl.viewport(0, 0, w, h);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -87,7 +89,7 @@ export class Surface {
     gl.uniform4f(set("frame"), 2 / width, 2 / height, (2 * (shown / 2 + camera.panX)) / width - 1, (-2 * camera.panY) / height);
     gl.uniform3f(set("relief"), middle, rise, bottom);
     gl.uniform2f(set("scale"), ...this.scale);
-    gl.uniform3f(set("body"), ...rgb(ink.muted));
+    gl.uniform3f(set("body"), ...rgbOf(ink.line));
     gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
     this.label(ink, camera.projector(shown, height), bottom, (value) => (value - middle) * rise);
   }
@@ -120,8 +122,10 @@ export class Surface {
     axis([sx * hx, -hy, bottom], [sx * hx, hy, bottom], ends(1), "y, mm", (y) => [sx * hx, unit(1)(y), bottom]);
     if (Math.abs(this.camera.pitch) < 1.35) {
       const corners = [[-hx, -hy], [-hx, hy], [hx, -hy], [hx, hy]], [left] = corners.sort((a, b) => project([...a, 0])[0] - project([...b, 0])[0]);
-      const { values, digits } = ticks(box.low, box.high, 4);
+      const { values, digits } = ticks(box.low, box.high, Math.min(5, (project([...left, rise(box.low)])[1] - project([...left, rise(box.high)])[1]) / 24));
       line([...left, bottom], [...left, rise(box.high)]);
+      const top = project([...left, rise(box.high)]);
+      if (map.unit) text(map.unit, [top[0], top[1] - 4], [top[0], top[1] + 9]);
       for (const value of values) {
         const at = project([...left, rise(value)]);
         text(figure(value, digits), at, [at[0] + 9, at[1]]);
@@ -146,13 +150,6 @@ function programOf(gl) {
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "no WebGL program");
   return program;
-}
-
-function rgb(colour) {
-  const one = document.createElement("canvas").getContext("2d");
-  one.fillStyle = colour;
-  one.fillRect(0, 0, 1, 1);
-  return [...one.getImageData(0, 0, 1, 1).data.slice(0, 3)].map((value) => value / 255);
 }
 
 // Each quad of four samples that are inside is two triangles; where it has no neighbour a wall goes down.

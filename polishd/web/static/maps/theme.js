@@ -32,3 +32,25 @@ export function contextOf(canvas) {
   g.font = "12px Inter, system-ui, sans-serif";
   return { g, width, height, dpr };
 }
+
+// A CSS colour as [r, g, b] of 0 to 1.
+const PARSED = new Map();
+export function rgbOf(colour) {
+  if (!PARSED.has(colour)) {
+    const g = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+    g.fillStyle = colour;
+    g.fillRect(0, 0, 1, 1);
+    PARSED.set(colour, [...g.getImageData(0, 0, 1, 1).data.slice(0, 3)].map((value) => value / 255));
+  }
+  return PARSED.get(colour);
+}
+
+// Calls once before the next frame, however often it is called.
+export function oncePerFrame(callback) {
+  let waits = false;
+  return () => {
+    if (waits) return;
+    waits = true;
+    requestAnimationFrame(() => { waits = false; callback(); });
+  };
+}

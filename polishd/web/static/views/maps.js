@@ -6,16 +6,28 @@ import { canvas, choice, facts, select, sign, toggle } from "../maps/elements.js
 import { columnOf, decodeMap, drawHeightMap, profileOf, rowOf, valueAt, wholeView, xOf, yOf } from "../maps/height_map.js";
 import { drawProfile } from "../maps/profile.js";
 import { Surface } from "../maps/surface.js";
-import { onChange } from "../maps/theme.js";
+import { oncePerFrame, onChange } from "../maps/theme.js";
 
 const CLOSEST = 40, DRAG = 4, QUIET_MS = 700;
 const DIGITS = { height_nm: 2, dwell_s: 4, gamma: 4 };
 
 export const styles = ["/maps/maps.css"];
 
+// What was chosen, also after another tab was shown.
+const kept = { kind: "measured", cycle: null, look: "flat", colours: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
+
+// What a link to this view chooses: #maps?kind=residual&cycle=2&look=solid
+function asked(args, texts) {
+  const found = {}, cycle = Number.parseInt(args?.get("cycle"), 10);
+  if (args?.get("kind") in texts.kinds) found.kind = args.get("kind");
+  if (["flat", "solid"].includes(args?.get("look"))) found.look = args.get("look");
+  if (cycle >= 0) found.cycle = cycle;
+  return found;
+}
+
 export function mount(root, ctx) {
   const texts = ctx.texts.maps;
-  const now = { kind: "measured", cycle: null, look: "flat", colours: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
+  const now = Object.assign(kept, asked(ctx.args?.(), texts));
   const known = { map: null, path: null, first: null, why: "", asked: 0 };
   let drawn = null, surface = null, ended = false;
 
@@ -32,24 +44,24 @@ export function mount(root, ctx) {
   stage.append(mesh, labels);
   corner.append(sign("+", texts.zoomIn, () => zoom(1.5)), sign("\u2212", texts.zoomOut, () => zoom(1 / 1.5)), button(texts.whole, "m-button", whole));
   const kinds = choice(texts.show, texts.kinds, now.kind, (kind) => { now.kind = kind; load(); });
-  const looks = choice(texts.title, { flat: texts.flat, solid: texts.solid }, now.look, (look) => { now.look = look; arrange(); });
+  const looks = choice(texts.look, { flat: texts.flat, solid: texts.solid }, now.look, (look) => { now.look = look; arrange(); });
   const cycles = select(texts.pass, {}, "", (cycle) => { now.cycle = Number(cycle); load(); });
   const redraw = (key) => (value) => { now[key] = value; if (key === "ends" && value === "first") load(); else show(); };
-  const card = box("section", "m-card"), options = box("section", "m-card"), numbers = facts(texts.figures), place = facts(texts.here);
+  const card = box("section", "m-card"), options = box("section", "m-card"), numbers = facts(texts.figures);
   const relief = box("label", "m-field"), slider = made("input"), times = made("span");
   Object.assign(slider, { type: "range", min: "0.1", max: "3", step: "0.05", value: "1" });
   relief.append(times, slider);
   slider.addEventListener("input", () => { now.relief = Number(slider.value); show(); });
   const flatOnly = [select(texts.outside, texts.hide, now.outside, redraw("outside")), toggle(texts.outline, now.outline, redraw("outline")),
     toggle(texts.path, now.path, async (on) => { now.path = on; await loadPath(); show(); }), toggle(texts.smooth, now.smooth, redraw("smooth"))];
-  card.append(looks, cycles, relief);
+  card.append(cycles, relief);
   options.append(select(texts.colours, texts.tables, now.colours, redraw("colours")), select(texts.ends, texts.scales, now.ends, redraw("ends")), ...flatOnly);
-  head.append(kinds, said);
+  head.append(kinds, looks, said);
   main.append(head, message, map, upright, flat, corner, stage, note);
-  side.append(card, place, numbers, options, spoken);
+  side.append(card, numbers, options, spoken);
   view.append(main, side);
   root.replaceChildren(view);
-  const camera = new Camera(labels, { yaw: -0.6, pitch: 0.62, radius: 1.25, scale: 0.5, onMove: () => show() });
+  const camera = new Camera(labels, { yaw: -0.6, pitch: 0.62, radius: 1.4, scale: 0.5, onMove: oncePerFrame(() => show()) });
 
   // data
   const at = (cycle) => `/api/jobs/${ctx.job()}/cycles/${cycle}`;
@@ -57,20 +69,23 @@ export function mount(root, ctx) {
     const turn = ++known.asked, list = ctx.cycles() ?? [];
     if (!list.length) { known.map = null; known.why = texts.noJob; arrange(); return; }
     if (!list.some((one) => one.cycle === now.cycle)) now.cycle = list.at(-1).cycle;
-    cycles.fill(Object.fromEntries(list.map((one) => [one.cycle, texts.cycle(one.cycle, `${one.cycle ? texts.after(one.cycle) : texts.first}, ${figure(one.measured.rms_nm, 2)} nm RMS`)])), now.cycle);
+    cycles.fill(Object.fromEntries(list.map((one) => [one.cycle, texts.cycle(one.cycle, `${one.cycle ? texts.after(one.cycle) : texts.first}, ${figure(one.measured.rms_nm, 2)} nm`)])), now.cycle);
+    const key = JSON.stringify([ctx.job(), now.cycle, now.kind, now.ends === "first", list.filter((one) => one.cycle === now.cycle || one.cycle === now.cycle + 1).map((one) => [one.taken_s, one.run?.began_s])]);
+    if (known.map && known.key === key) return;
     const found = await ctx.ask("GET", `${at(now.cycle)}/map/${now.kind}?encoding=float32`);
     if (now.ends === "first" && known.first?.job !== ctx.job()) known.first = { job: ctx.job(), scale: (await ctx.got(`${at(list[0].cycle)}/map/measured?px=8`))?.scale };
     if (ended || turn !== known.asked) return;
     const other = known.map && (known.map.nx !== found.nx || known.map.pitch_mm !== found.pitch_mm);
+    known.key = key;
     known.map = found.status === 200 ? decodeMap(found) : null;
     known.why = found.status === 200 ? "" : `${texts.none}: ${found.error}. ${now.kind === "measured" ? "" : texts.oldPlan}`;
     if (other) now.view = null;
-    await loadPath();
     arrange();
+    if (now.path) { await loadPath(); if (!ended) show(); }
   }
   async function loadPath() {
     const key = `${ctx.job()} ${now.cycle}`;
-    if (now.path && known.path?.key !== key) known.path = { key, plan: await ctx.got(`${at(now.cycle)}/plan`) };
+    if (now.path && known.path?.key !== key) known.path = { key, plan: await ctx.got(`${at(now.cycle)}/plan?points=20000`) };
   }
 
   // drawing
@@ -96,7 +111,6 @@ export function mount(root, ctx) {
     relief.hidden = !solid;
     said.hidden = solid;
     for (const one of flatOnly) one.hidden = solid;
-    place.hidden = is !== "flat";
     numbers.hidden = note.hidden = is === "none";
     message.hidden = Boolean(known.map);
     message.textContent = known.why;
@@ -116,6 +130,7 @@ export function mount(root, ctx) {
       [texts.names.pv, value(measured ? measured.pv_nm : m.high - m.low)], [texts.names.rms, value(measured ? measured.rms_nm : m.rms)],
       [texts.names.low, value(m.low)], [texts.names.high, value(m.high)], ...(m.signed ? [] : [[texts.names.mean, value(m.mean)]]),
       [texts.names.size, `${m.nx} × ${m.ny}`], [texts.names.pitch, `${figure(m.pitch_mm, 2)} mm`],
+      ...(now.look === "flat" && drawn ? [[texts.names.zoom, `${figure(wholeView(m, drawn.plot).mmPerPx / drawn.view.mmPerPx, 1)} ×`]] : []),
     ]);
   }
 
@@ -140,8 +155,7 @@ export function mount(root, ctx) {
   function read() {
     const [x, y] = now.cursor, z = valueAt(known.map, x, y), j = Math.round(columnOf(known.map, x)), i = Math.round(rowOf(known.map, y));
     const inner = known.map.aperture[i * known.map.nx + j] === 1, text = z === null ? texts.noData : `${figure(z, digits())}${unit()}`;
-    said.textContent = `x ${figure(x, 2)}   y ${figure(y, 2)} mm   z ${text}`;
-    place.show([["x", `${figure(x, 2)} mm`], ["y", `${figure(y, 2)} mm`], ["z", text], ["", inner ? texts.inside : texts.beyond]]);
+    said.textContent = `x ${figure(x, 2)}   y ${figure(y, 2)} mm   z ${text}${z === null || inner ? "" : ` (${texts.beyond})`}`;
     clearTimeout(speaks);
     speaks = setTimeout(() => { if (document.activeElement === map) spoken.textContent = said.textContent; }, QUIET_MS);
   }
@@ -151,6 +165,7 @@ export function mount(root, ctx) {
       surface ??= new Surface(mesh, labels, camera);
       const key = [now.colours, now.ends].join();
       if (known.meshed !== key) { surface.set(known.map, { colours: colours(), scale: scale() }); known.meshed = key; }
+      camera.radius = stage.clientWidth < 520 ? 1.75 : 1.4;
       surface.draw(now.relief);
     } catch (error) {
       stage.hidden = relief.hidden = note.hidden = true;
@@ -159,7 +174,7 @@ export function mount(root, ctx) {
       console.warn(error);
       return;
     }
-    const nm = known.map.unit === "nm", factor = nm ? Math.round(surface.exaggeration(now.relief)).toLocaleString("en") : figure(now.relief, 2);
+    const nm = known.map.unit === "nm", factor = nm ? Number(surface.exaggeration(now.relief).toPrecision(2)).toLocaleString("en") : figure(now.relief, 2);
     times.textContent = `${texts.height}: ${nm ? texts.times(factor) : texts.relief(factor)}`;
     slider.setAttribute("aria-valuetext", times.textContent);
   }
@@ -241,7 +256,6 @@ export function mount(root, ctx) {
   }
 
   const end = onChange([map, flat, upright, stage], show);
-  load();
   return {
     update() { if (now.look === "flat" && now.path) show(); },
     refresh: load,
