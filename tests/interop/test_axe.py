@@ -1,4 +1,4 @@
-"""axe-core: no serious fault on any page, in any state that it has, dark and light."""
+"""axe-core: no fault on any view, in any state that the page has, at three sizes, dark and light."""
 
 from __future__ import annotations
 
@@ -6,31 +6,33 @@ from pathlib import Path
 
 import pytest
 
-from polishd.config.cell import load_config
-from polishd.web.http.users import Role, UserFile, users_path
 from tests.interop.peers import NODE_MODULES, Peer
+from tests.screenshots.camera import OPTIONS, aim
+from tests.screenshots.frozen_cell import frozen_server
+from tests.screenshots.scenes import DASHBOARD, SCENES, asked
 from tests.system.browser import Page, browsing
-from tests.system.cell_rig import Daemon, small_cell, with_keys
-from tests.system.test_web import FREE, FRESH, STATE, signed_in, web_of
 
 PEER = Peer("axe-core", "the page", "judge of accessibility", "npm", "axe-core")
 pytestmark = PEER.needed
 
-GRAVE = ("serious", "critical")
+SIZES = ((1440, 900), (820, 1180), (390, 844))
+VIEWS = {
+    "polishing": ("dashboard", "maps", "cell", "queue", "history", "host"),
+    "held": ("dashboard", "host"),
+    "killed": ("dashboard",),
+    "approve": ("dashboard", "approve"),
+    "measuring": ("dashboard",),
+}
 
 
 def faults_of(page: Page) -> list[str]:
-    """Those that axe calls serious or critical, in either scheme of colours."""
-    found = []
-    for scheme in ("light", "dark"):
-        page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-        answer = page.run("axe.run(document, { resultTypes: ['violations'] })")
-        assert answer["passes"], "axe has looked at nothing"
-        for one in answer["violations"]:
-            if one["impact"] in GRAVE:
-                nodes = [f"{node['html'][:90]} ({node['failureSummary'][:160]})" for node in one["nodes"]]
-                found.append(f"{scheme}: {one['id']}: {nodes[:6]}")
-    return found
+    """Everything that axe calls a violation."""
+    answer = page.run("axe.run(document, { resultTypes: ['violations'] })")
+    assert answer["passes"], "axe has looked at nothing"
+    return [
+        f"{one['id']} ({one['impact']}): {[node['html'][:110] for node in one['nodes']][:4]}"
+        for one in answer["violations"]
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -38,27 +40,28 @@ def axe() -> str:
     return (NODE_MODULES / "axe-core" / "axe.min.js").read_text()
 
 
-def test_no_state_of_the_page_has_a_serious_fault(tmp_path: Path, axe: str) -> None:
+@pytest.mark.parametrize("scene", VIEWS)
+def test_no_view_has_a_fault(tmp_path: Path, axe: str, scene: str) -> None:
     found: dict[str, list[str]] = {}
-    with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
-        files.cell.write_text(with_keys(files.cell.read_text(), FREE))
-        token = UserFile(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
-        with web_of(files) as url, browsing(tmp_path / "browser") as page:
-            page.go(url)
-            page.until("!document.getElementById('sign-in').hidden")
+    with frozen_server(tmp_path, SCENES[scene]) as server, browsing(tmp_path / "browser", *OPTIONS) as page:
+        page.go(server.url)
+        page.until("!document.getElementById('sign-in').hidden")
+        page.run(axe)
+        found["signing in"] = faults_of(page)
+        server.sign_in(page)
+        for view in VIEWS[scene]:
+            for width, height in SIZES:
+                for scheme in ("light", "dark"):
+                    aim(page, width, height, scheme)
+                    server.show(page, view)
+                    page.until(DASHBOARD if view == "dashboard" else "document.querySelectorAll('#view *').length > 10")
+                    page.run(axe)
+                    found[f"{view} {width}x{height} {scheme}"] = faults_of(page)
+        if scene == "held":
+            server.show(page, "dashboard")
+            page.until(DASHBOARD)
+            asked(page)
             page.run(axe)
-            found["signing in"] = faults_of(page)
-            signed_in(page, url, token)
-            page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")
-            page.run(axe)
-            found["no daemon"] = faults_of(page)
-            with Daemon(files):
-                page.until(FRESH)
-                page.until("document.querySelectorAll('#passes tr').length > 0")
-                found["polishing"] = faults_of(page)
-                page.press("hold")
-                page.until(STATE.format("held"))
-                found["held"] = faults_of(page)
-            page.until("!document.getElementById('lost').hidden")
-            found["killed"] = faults_of(page)
-    assert not any(found.values()), found
+            found["asked"] = faults_of(page)
+        assert page.problems == []
+    assert not any(found.values()), {where: faults for where, faults in found.items() if faults}

@@ -15,7 +15,7 @@ SIZES = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (3
 """Width and height in CSS pixels, and colors."""
 PHONE_PX = 800
 """Widths below it are those of a phone."""
-COLORS = 96
+COLORS = 128
 """Of a picture: text stays sharp, and a picture has some 40 kB."""
 FREEZE = """
 {
@@ -67,7 +67,7 @@ class Camera:
     def shoot(self, path: Path) -> int:
         """Write a picture; its bytes. A picture that is the same is not written again."""
         image = Image.open(io.BytesIO(self.look())).convert("RGB")
-        small = image.quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        small = image.quantize(COLORS, method=Image.Quantize.MEDIANCUT, kmeans=2, dither=Image.Dither.NONE)
         buffer = io.BytesIO()
         small.save(buffer, "PNG", optimize=True)
         if not path.exists() or path.read_bytes() != buffer.getvalue():

@@ -69,7 +69,7 @@ def heights(rms_nm: float, stage: int) -> tuple[Any, Any]:
     fine = 0.10 * np.cos(2 * np.pi * y * 50 / 1.5) + 0.12 * np.sin(61 * x + 23 * y) + 0.1 * np.cos(47 * y - 31 * x)
     grain = 0.05 * np.random.default_rng(7 + stage).normal(size=x.shape)
     share = (1.0, 0.22, 0.05)[min(stage, 2)], (0.6, 0.7, 0.55)[min(stage, 2)], (0.10, 0.28, 0.5)[min(stage, 2)]
-    height = share[0] * low + share[1] * middle + share[2] * fine + grain * share[2] * 4
+    height = share[0] * low + share[1] * middle + share[2] * fine + grain * share[2] * 1.5
     inside = r <= 0.94
     height = (height - height[inside].mean()) * rms_nm / height[inside].std()
     return np.where(r <= 1.0, height, np.nan), inside

@@ -73,6 +73,14 @@ def asked(page: Page) -> None:
     page.until("document.getElementById('confirm').open")
 
 
+def solid(page: Page) -> None:
+    """Show the map as a surface."""
+    buttons = "[...document.querySelectorAll('.view-maps button, .view-maps label')]"
+    choice = f"{buttons}.find((one) => one.textContent === '3-D surface')"
+    page.until(choice)
+    page.run(f"{choice}.click()")
+
+
 @dataclass(frozen=True, slots=True)
 class Shot:
     """A picture, or one of each size."""
@@ -101,7 +109,7 @@ VIEWS = (
     Shot("queue", "polishing", "queue"),
     Shot("history", "polishing", "history"),
     Shot("map-2d", "polishing", "maps"),
-    Shot("map-3d", "polishing", "maps?look=solid"),
+    Shot("map-3d", "polishing", "maps", solid),
     Shot("cell", "polishing", "cell"),
 )
 """In all sizes."""

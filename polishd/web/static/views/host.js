@@ -23,7 +23,7 @@ export function mount(root, ctx) {
       first.scope = "row";
       return box("tr", "", first, ...cells.map((cell) => (Array.isArray(cell) ? made("td", cell[0], cell[1]) : made("td", cell))));
     }));
-    at.replaceChildren(box("table", "", box("thead", "", head), body));
+    at.replaceChildren(box("div", "scroll", box("table", "", box("thead", "", head), body)));
   }
   function show() {
     const state = ctx.state(), live = state?.live, how = ctx.link();
