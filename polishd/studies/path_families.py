@@ -42,8 +42,8 @@ SAMPLE_S = 0.005
 """Time between two positions of the true tool; 0.25 mm at 50 mm/s."""
 SQUARES = 128
 """Squares across the true spot."""
-RATIO_STEP, AZIMUTH_STEP = 0.005, np.radians(3.0)
-"""True spots that differ by less share one window: a quarter of a percent of the radius."""
+RATIO_STEP, AZIMUTH_STEP = 0.002, np.radians(1.0)
+"""True spots that differ by less share one window: a tenth of a percent of the radius."""
 NOISE_MM = 10.0
 """Length of path over which the tool's distance from it is about the same."""
 LINE_SHARE = 0.1

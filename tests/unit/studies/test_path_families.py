@@ -82,9 +82,11 @@ def test_the_direct_sum_is_what_the_matrix_has(tmp_path: Path) -> None:
     smooth = replace(made.path, spot=HertzSpot(made.path.process, path_families.SQUARES))
     exact = smooth.matrix(fine, made.spots).removal_nm(time_s)
     inside = fine.radius_mm() < 10
-    np.testing.assert_allclose(summed[inside], exact[inside], rtol=0.01)
-    ripple_nm = exact[inside].std()
-    assert (summed - exact)[inside].std() < 0.2 * ripple_nm
+    np.testing.assert_allclose(summed[inside], exact[inside], rtol=0.02)
+    # the matrix takes a moving block as rests a fraction of the spot apart; across the lines nothing of that is left
+    middle = np.abs(fine.x_mm) < 5
+    across = [one[np.abs(fine.y_mm) < 8][:, middle].mean(axis=1) for one in (summed, exact)]
+    assert np.std(across[0] - across[1]) < 0.1 * np.std(across[1])
 
 
 def test_a_peak_is_the_ring_over_its_surroundings() -> None:
