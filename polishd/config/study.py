@@ -305,9 +305,9 @@ class PathsStudy(PartStudy):
     radius_errors: Annotated[tuple[RadiusError, ...], BeforeValidator(as_tuple), Field(min_length=1)] = (0.0, 0.03)
     """Errors of the true spot's radius, as shares of it: a row each. [1]"""
     lag_s: NotNegative = 0.02
-    """Time constant with which the tool follows the path, in a row of its own; 0: no such row."""
+    """Time constant with which the tool follows the path in a separate row; 0: no such row."""
     line_noise_um: NotNegative = 30.0
-    """RMS of the tool's distance from the path, across and along, in a row of its own; 0: no such row."""
+    """RMS of the tool's distance from the path, across and along in a separate row; 0: no such row."""
     msf_period_mm: Range = (0.3, 3.0)
     """Periods of `msf_nm`; longer ones are low orders."""
     cell_mm: Positive = 0.1

@@ -1,7 +1,7 @@
 """Families of paths against spots, lines and lags that differ from the model: the ripple that each leaves.
 
 Each family's dwell is solved on the process grid within the machine's limits. The true removal is a direct sum on fine
-cells: the tool's position every few milliseconds, each with the spot of its own depth and lean.
+cells: the tool's position every few milliseconds, each with the spot at that depth and lean.
 """
 
 from __future__ import annotations
