@@ -91,7 +91,7 @@ def dialects(as_json: Json = False) -> None:
 @app.command()
 @spread_options
 def make(asked: MakeOptions, as_json: Json = False) -> None:
-    """Make a raster or a spiral over a flat, spherical or aspheric aperture, with the tool along its normals."""
+    """Make a path over a flat, spherical or aspheric aperture, with the tool along its normals."""
     from polishd.programs.make import make_verb
 
     make_verb(asked, as_json=as_json)

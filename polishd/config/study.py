@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from polishd.config.fields import (
     ConfigSection,
@@ -22,11 +22,15 @@ from polishd.config.fields import (
     Speed,
     Text,
     Texts,
+    as_tuple,
 )
 from polishd.config.process_sections import PartDocument, ProcessDocument
 from polishd.config.toml_loader import TomlDocument, TomlSource, did_you_mean, join_words, load_toml
 from polishd.model.errors import ConfigError
 from polishd.model.outline import Outline
+
+PathShape = Literal["raster", "spiral", "concentric", "random", "adaptive"]
+"""Paths that polishd makes."""
 
 # A study of whole jobs against simulated plants, and its scenarios.
 
@@ -250,6 +254,82 @@ class PassesStudy(PartStudy):
                 yield f"part.{key}", "this study has no map"
 
 
+class FeedSection(ConfigSection):
+    """Feeds and acceleration of the machine."""
+
+    max_feed_mm_s: Positive = 50.0
+    """Highest feed."""
+    min_feed_mm_s: Positive = 0.5
+    """Lowest feed."""
+    accel_mm_s2: Positive = 800.0
+    """Acceleration. The smallest radius of a bent path is that of the highest feed with this across the path."""
+
+    @model_validator(mode="after")
+    def _feeds_ordered(self) -> Self:
+        if self.min_feed_mm_s >= self.max_feed_mm_s:
+            raise ValueError("min_feed_mm_s: must be less than max_feed_mm_s; exchange or correct them")
+        return self
+
+
+class PathFamilySection(ConfigSection):
+    """A path over the part, as of `polishd program make`."""
+
+    shape: PathShape
+    """Its shape."""
+    pitch_mm: Positive
+    """Distance of lines or turns."""
+    direction_deg: float = 0.0
+    """Direction of the first line."""
+    cross_deg: float | None = None
+    """Of `raster`: angle to a second raster of the same pass."""
+    phases: Annotated[tuple[float, ...], BeforeValidator(as_tuple), Field(min_length=1, max_length=8)] = (0.0,)
+    """A pass each, with its lines shifted by this share of the pitch; they share the removal. [1]"""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of `random`: the seed. [1]"""
+    follows_removal: bool = False
+    """Of `random`: lines lie denser where more is to be removed, as those of `adaptive` do."""
+
+
+RadiusError = Annotated[float, Field(gt=-0.5, lt=0.5)]
+
+
+class PathsStudy(PartStudy):
+    """Families of paths against spots, lines and lags that differ from the model."""
+
+    kind: Literal["paths"]
+    surface: SurfaceSection
+    solve: SolveSection = SolveSection()
+    machine: FeedSection = FeedSection()
+    families: Annotated[dict[Name, PathFamilySection], Field(min_length=1)]
+    """The paths by name, each a table `[families.NAME]`. Rows are compared with the first one."""
+    radius_errors: Annotated[tuple[RadiusError, ...], BeforeValidator(as_tuple), Field(min_length=1)] = (0.0, 0.03)
+    """Errors of the true spot's radius, as shares of it: a row each. [1]"""
+    lag_s: NotNegative = 0.02
+    """Time constant with which the tool follows the path in a separate row; 0: no such row."""
+    line_noise_um: NotNegative = 30.0
+    """RMS of the tool's distance from the path, across and along in a separate row; 0: no such row."""
+    msf_period_mm: Range = (0.3, 3.0)
+    """Periods of `msf_nm`; longer ones are low orders."""
+    cell_mm: Positive = 0.1
+    """Cells on which the true removal is summed: about a twentieth of the spot's radius."""
+
+    def without_use(self) -> Iterator[tuple[str, str]]:
+        """Yield unused keys: also the desired form, if the surface is random."""
+        yield from super().without_use()
+        if self.surface.file is None and self.part.form is not None:
+            yield "part.form", "a random surface is the error already, without the form"
+
+    def require_size(self) -> None:
+        """Raise ConfigError if the study has too many samples, or a band of periods that its cells do not show."""
+        super().require_size()
+        wide, high = (2 * half / self.cell_mm for half in self.outline().half_mm)
+        if wide * high > MOST_SAMPLES:
+            raise self.error("cell_mm", f"{wide * high:.3g} cells; at most {MOST_SAMPLES:.0e} can be computed")
+        if not 2 * self.cell_mm < self.msf_period_mm[0] < self.msf_period_mm[1]:
+            problem = f"must rise from above two cells, {2 * self.cell_mm:g} mm; set a longer period or smaller cells"
+            raise self.error("msf_period_mm", problem)
+
+
 class SpotSection(ConfigSection):
     """One spot, and its values in the paper, if any."""
 
@@ -279,11 +359,12 @@ class SpotsStudy(StudyFile):
     """The spots by name, each a table `[spots.NAME]`."""
 
 
-Study = CorrectionsStudy | SpotsStudy | PassesStudy | LoopStudy
+Study = CorrectionsStudy | SpotsStudy | PassesStudy | PathsStudy | LoopStudy
 KINDS: dict[str, type[Study]] = {
     "corrections": CorrectionsStudy,
     "spots": SpotsStudy,
     "passes": PassesStudy,
+    "paths": PathsStudy,
     "loop": LoopStudy,
 }
 

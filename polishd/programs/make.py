@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.cell_sections import InstrumentSection
 from polishd.config.table_files import read_polygon
 from polishd.maps.map_files import MapSource
-from polishd.model.errors import ProgramError
+from polishd.model.errors import ComputeError, ProgramError
 from polishd.model.outline import hexagon
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.program import Encoding, Program
@@ -33,7 +33,8 @@ from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot.compliance import compliance_at, depth_ratio
 from polishd.process.toolpath import apertures
 from polishd.process.toolpath.apertures import Aperture, largest_turn_deg, over_outline, tool_axes
-from polishd.process.toolpath.paths import raster, spiral
+from polishd.process.toolpath.bent_rasters import MIN_RADIUS_MM, LineDensity, adaptive_raster, random_raster
+from polishd.process.toolpath.paths import crossed_raster, raster, spiral
 from polishd.programs.options import MakeOptions
 from polishd.programs.rewrite import require_new_target, target_file
 from polishd.programs.show import path_picture
@@ -54,6 +55,8 @@ UNCHECKED = (
     "whether the landing points lie beside the part",
 )
 """Checks of a program that need its cell."""
+LOWEST = 0.005
+"""Share of the samples of a map that may lie below what is to be removed, as of the dwell solvers."""
 UPRIGHT = Placement((0.0, 0.0, 0.0), np.eye(3))
 
 
@@ -127,6 +130,8 @@ def make_program(options: MakeOptions, config: CellConfig | None, hooks: Hooks |
     return GeneratedProgram(made, text, answer)
 
 
+REGULAR = ("raster", "spiral", "concentric")
+"""Shapes whose lines have a common distance, which can be at a null of the spot's transfer function."""
 RIPPLE_KEYS = ("share", "share_high", "radius_error")
 
 
@@ -137,9 +142,13 @@ def _with_pitch(options: MakeOptions, config: CellConfig | None) -> tuple[MakeOp
     at most that long: its time is in inverse proportion to the distance.
     """
     budget_s = options.time_budget_s
+    if budget_s is not None and options.shape not in REGULAR:
+        raise typer.BadParameter(
+            f"--time-budget goes with {', '.join(REGULAR)}, not with {options.shape}. Give --pitch"
+        )
     if budget_s is not None and (config is None or options.pitch_mm is not None):
         raise typer.BadParameter("--time-budget chooses the line distance: give it with --cell, without --pitch")
-    if config is None or options.pitch_mm is not None:
+    if config is None or options.pitch_mm is not None or options.shape not in REGULAR:
         return replace(options, pitch_mm=options.pitch_mm or RASTER_MM), None
     lines = {"shape": options.shape, "direction_deg": options.direction_deg}
     if budget_s is None:
@@ -192,7 +201,8 @@ def _encoding(options: MakeOptions) -> Encoding:
 def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
     kind, _, rest = (options.aperture or "").partition(":")
     aperture = rest if kind in ("mask", "polygon") else ""
-    require_new_target(options.out, *(Path(read_from) for read_from in (options.cell, aperture) if read_from))
+    sources = (options.cell, aperture, options.removal)
+    require_new_target(options.out, *(Path(read_from) for read_from in sources if read_from))
     with target_file(options.out) as file:
         file.write(text)
     if options.picture is not None:
@@ -205,16 +215,85 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
     aperture, optic = _aperture(options, config), _optic(options, config)
     lengths = (options.pitch_mm or RASTER_MM, options.step_mm)
     beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
+    beyond |= {"optic": optic}
+    _require_shape(options)
+    _require_wider(config, aperture)
     if options.shape == "raster":
-        points = raster(aperture, *lengths, **beyond, optic=optic, direction_deg=options.direction_deg)
+        lines: dict[str, Any] = {"direction_deg": options.direction_deg, "phase": options.phase}
+        if options.cross_deg is None:
+            points = raster(aperture, *lengths, **beyond, **lines)
+        else:
+            points = crossed_raster(aperture, *lengths, **beyond, **lines, cross_deg=options.cross_deg)
+    elif options.shape in ("spiral", "concentric"):
+        turns: dict[str, Any] = {"inwards": options.inwards, "rings": options.shape == "concentric"}
+        points = spiral(aperture, *lengths, **beyond, **turns, phase=options.phase)
     else:
-        points = spiral(aperture, *lengths, **beyond, optic=optic, inwards=options.inwards)
+        bends: dict[str, Any] = {
+            "direction_deg": options.direction_deg,
+            "min_radius_mm": _radius_mm(options, config),
+        }
+        density = _density(options)
+        if options.shape == "random":
+            points = random_raster(aperture, *lengths, **beyond, **bends, seed=options.seed, density=density)
+        elif density is None:
+            raise typer.BadParameter("adaptive needs --removal: a map of what is to be removed")
+        else:
+            points = adaptive_raster(aperture, *lengths, density, **beyond, **bends)
     dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
     placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
     if lean is None or options.azimuth_deg is not None:
         lean = ComplianceOptions(dip_direction="fixed", dip_azimuth_deg=options.azimuth_deg or 0.0)
     axis = tool_axes(points, optic, dip_deg, lean, placement)
     return GeneratedPath(aperture, optic, points, axis, largest_turn_deg(axis, options.turn_limit_deg))
+
+
+ONLY_FOR: Mapping[str, tuple[str, ...]] = {
+    "direction_deg": ("raster", "random", "adaptive"),
+    "cross_deg": ("raster",),
+    "phase": ("raster", "spiral", "concentric"),
+    "seed": ("random",),
+    "radius_mm": ("random", "adaptive"),
+    "removal": ("random", "adaptive"),
+    "inwards": ("spiral", "concentric"),
+}
+"""Shapes that an option goes with."""
+
+
+def _require_shape(options: MakeOptions) -> None:
+    """BadParameter for an option that the shape does not use."""
+    for one in fields(options):
+        shapes = ONLY_FOR.get(one.name)
+        if shapes is not None and options.shape not in shapes and getattr(options, one.name) != one.default:
+            name = one.name.removesuffix("_deg").removesuffix("_mm")
+            raise typer.BadParameter(f"--{name} goes with {', '.join(shapes)}, not with {options.shape}. Remove it")
+
+
+def _require_wider(config: CellConfig | None, aperture: Aperture) -> None:
+    """ComputeError where the cell's spot is wider than the part: a path could not correct it."""
+    if config is None or config.process.removal_model != "hertz_preston":
+        return
+    spot_mm, part_mm = contact_radius_mm(config), float(aperture.reach_mm.min())
+    if spot_mm > part_mm:
+        raise ComputeError(
+            f"the spot's radius of {spot_mm:.3g} mm is larger than the part's, {part_mm:.3g} mm in its narrowest "
+            "direction. Use a smaller tool, less force, or a larger --aperture"
+        )
+
+
+def _radius_mm(options: MakeOptions, config: CellConfig | None) -> float:
+    """Smallest radius of a bent path: the machine follows it at its largest feed."""
+    if options.radius_mm is not None:
+        return options.radius_mm
+    return MIN_RADIUS_MM if config is None else config.envelope().max_feed_mm_s ** 2 / config.envelope().accel_mm_s2
+
+
+def _density(options: MakeOptions) -> LineDensity | None:
+    """Density of the lines for the map of ``--removal``: what lies above the lowest 0.5 % of its samples."""
+    if options.removal is None:
+        return None
+    measured = MapSource.of(options.cell).read(options.removal)
+    low = float(np.quantile(measured.height_nm[measured.valid], LOWEST))
+    return LineDensity.of_removal(measured.grid, measured.height_nm - low, measured.valid)
 
 
 def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:

@@ -10,13 +10,20 @@ from typer import Argument, Option
 
 EncodingOption = Literal["feed", "inverse", "dwell", "time", "wait"]
 """As model.program has it, which would import numpy; ``wait`` is another name of ``dwell``."""
+PathShape = Literal["raster", "spiral", "concentric", "random", "adaptive"]
 
 
 @dataclass(frozen=True, slots=True)
 class MakeOptions:
     """Path and encoding of a new program; None: the default in the option's help."""
 
-    shape: Annotated[Literal["raster", "spiral"], Argument(help="Parallel lines, or an Archimedean spiral")]
+    shape: Annotated[
+        PathShape,
+        Argument(
+            help="Parallel lines, an Archimedean spiral, concentric rings, pseudo-random lines, or lines that lie "
+            "denser where more is to be removed"
+        ),
+    ]
     out: Annotated[Path, Option(metavar="FILE", help="New program")]
     aperture: Annotated[
         str | None,
@@ -63,9 +70,29 @@ class MakeOptions:
     ] = None
     step_mm: Annotated[float, Option("--step", metavar="MM", help="Distance between points")] = 1.0
     direction_deg: Annotated[
-        float, Option("--direction", metavar="DEG", help="Raster: direction of the first line, from x")
+        float, Option("--direction", metavar="DEG", help="Lines: (mean) direction of the first one, from x")
     ] = 0.0
-    inwards: Annotated[bool, Option("--inwards", help="Spiral: from outside to the center")] = False
+    cross_deg: Annotated[
+        float | None, Option("--cross", metavar="DEG", help="Raster: run a second one, turned by this angle")
+    ] = None
+    phase: Annotated[
+        float, Option("--phase", metavar="SHARE", help="Raster, spiral, concentric: shift of all lines, in pitches")
+    ] = 0.0
+    seed: Annotated[int, Option("--seed", metavar="N", help="Random: another path for another number")] = 0
+    radius_mm: Annotated[
+        float | None,
+        Option(
+            "--radius",
+            metavar="MM",
+            help="Random, adaptive: smallest radius of the path on the part (default: that of the cell's largest feed "
+            "and acceleration, or 3)",
+        ),
+    ] = None
+    removal: Annotated[
+        Path | None,
+        Option("--removal", metavar="MAP", help="Adaptive, random: lie denser where this map is higher"),
+    ] = None
+    inwards: Annotated[bool, Option("--inwards", help="Spiral, concentric: from outside to the center")] = False
     overrun_mm: Annotated[float, Option("--overrun", metavar="MM", help="Path beyond the aperture")] = 1.0
     landing_mm: Annotated[
         float, Option("--landing", metavar="MM", help="Distance of the landing point outside the aperture")

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from polishd.config.study import AS_IT_IS, CorrectionsStudy, LoopStudy, PassesStudy, Scenario, Study
+from polishd.config.study import AS_IT_IS, CorrectionsStudy, LoopStudy, PassesStudy, PathsStudy, Scenario, Study
 from polishd.config.sweep import read_swept
 from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.surface import SurfaceMap
@@ -21,6 +21,7 @@ from polishd.plugin_loader import load_own
 from polishd.studies.cases import UNHURRIED, Case, CaseFactory
 from polishd.studies.closed_loop import ERROR, ClosedLoop, ClosedLoopResult
 from polishd.studies.corrections import compare_corrections
+from polishd.studies.path_families import compare_paths
 from polishd.studies.plant_client import PlantProcess
 from polishd.studies.spots import compute_spots, polish_evenly
 
@@ -121,6 +122,10 @@ def _computed(study: Study) -> Iterator[dict[str, Any]]:
         solve = study.solve.model_copy(update={"cpu_limit_s": UNHURRIED_S})
         unhurried = study.model_copy(update={"solve": solve})
         yield from (facts_of(row) for row in compare_corrections(unhurried, read, _silent).rows)
+    elif isinstance(study, PathsStudy):
+        solve = study.solve.model_copy(update={"cpu_limit_s": UNHURRIED_S})
+        unhurried = study.model_copy(update={"solve": solve})
+        yield from (facts_of(row) for row in compare_paths(unhurried, read, _silent).rows)
     elif isinstance(study, PassesStudy):
         yield polish_evenly(study, _silent).as_json()
     elif not isinstance(study, LoopStudy):

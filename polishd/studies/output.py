@@ -39,6 +39,7 @@ from polishd.studies.corrections import (
     CorrectionRow,
     tie_words,
 )
+from polishd.studies.path_families import PathComparison
 from polishd.studies.spots import READINGS, Passes, SpotRow, shape_words
 from polishd.studies.summary import FIGURES, THIRDS, LabelGroup, MedianInterval, Summary
 
@@ -87,6 +88,29 @@ def correction_notes(compared: CorrectionComparison) -> list[str]:
         "the paper publishes neither its start nor its plant: its rows are printed beside ours, not reproduced",
         *compared.notes,
     ]
+
+
+def path_table(title: str, compared: PathComparison) -> Table:
+    """Return a row for each family and disturbance."""
+    columns = ("family", "true", "RMS nm", "low", "MSF", "of first", "forecast", "line", "peak", "s", "mm", "mm/s2")
+    rows = [
+        (
+            row.family,
+            row.disturbance,
+            f"{row.rms_nm:.2f}",
+            f"{row.low_nm:.2f}",
+            f"{row.msf_nm:.2f}",
+            f"{compared.msf_ratio(row):.2f}",
+            f"{row.forecast_nm:.2f}",
+            f"{row.line_peak:.3g}",
+            f"{row.highest_peak:.3g}",
+            f"{row.time_s:.0f}",
+            f"{row.path_mm:.0f}",
+            f"{row.acceleration_mm_s2:.0f}",
+        )
+        for row in compared.rows
+    ]
+    return figure_table(title, columns, rows)
 
 
 def spot_tables(study: SpotsStudy, rows: tuple[SpotRow, ...]) -> list[Table]:
@@ -426,6 +450,11 @@ def of_passes(passes: Passes) -> Mapping[str, Draw]:
     return {"passes.png": drawn(_passes, passes)}
 
 
+def of_paths(compared: PathComparison) -> Mapping[str, Draw]:
+    """Return the paths, and the spectra with the largest error of the spot's radius."""
+    return {"paths.png": drawn(_paths, compared), "path_spectra.png": drawn(_path_spectra, compared)}
+
+
 def of_loops(looped: LoopRows) -> Mapping[str, Draw]:
     """Return the true RMS over the passes: a panel for each scenario, a color for each loop."""
     return {"controllers.png": drawn(_loops, looped)}
@@ -439,6 +468,28 @@ def drawn(draw: Callable[..., Figure], *what: object) -> Draw:
             return png(draw(*what))
 
     return in_style
+
+
+def _paths(compared: PathComparison) -> Figure:
+    """Draw the middle of each path."""
+    columns = min(len(compared.paths), PANELS)
+    lines = -(-len(compared.paths) // columns)
+    page = figure(2.7 * columns, 2.8 * lines)
+    panels = page.subplots(lines, columns, squeeze=False).ravel()
+    for ax, (name, points) in zip(panels, compared.paths.items(), strict=False):
+        ax.plot(*points[:, :2].T, color=BLUE, lw=0.4)
+        ax.set(title=name, aspect="equal", xlim=compared.shown_mm, ylim=compared.shown_mm)
+    for ax in panels[len(compared.paths) :]:
+        ax.set_axis_off()
+    return page
+
+
+def _path_spectra(compared: PathComparison) -> Figure:
+    page = figure(7.0, 4.4)
+    ax = page.subplots()
+    curves = {name: Spectrum(one.frequency_per_mm, one.density_nm2_mm2) for name, one in compared.spectra.items()}
+    spectrum(ax, curves, f"residual, {compared.spectra_of}", nyquist_per_mm=compared.nyquist_per_mm, colors=COLORS)
+    return page
 
 
 def _setting(compared: CorrectionComparison) -> Figure:

@@ -14,7 +14,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from polishd.config.study import CorrectionsStudy, LoopStudy, PassesStudy, SpotsStudy, Study
+from polishd.config.study import CorrectionsStudy, LoopStudy, PassesStudy, PathsStudy, SpotsStudy, Study
 from polishd.config.sweep import SweepStudy, load_swept
 from polishd.model.errors import ConfigError
 from polishd.pipeline.records import facts_of
@@ -25,6 +25,7 @@ from polishd.studies.cases import Case, cases_of
 from polishd.studies.corrections import ProgressReport, compare_corrections
 from polishd.studies.engine import DaskCluster, Executor, LocalPool, work
 from polishd.studies.options import StudyOptions
+from polishd.studies.path_families import compare_paths
 from polishd.studies.result_store import ResultStore, Rows, make_folder, read_table
 from polishd.studies.spots import compute_spots, polish_evenly
 from polishd.studies.summary import summarise
@@ -154,6 +155,10 @@ def _answer(study: Study, report_progress: ProgressReport) -> StudyResult:
         rows = [facts_of(row) for row in compared.rows]
         shown = output.correction_tables(study.title, compared)
         return StudyResult(rows, shown, output.correction_notes(compared), output.of_corrections(compared))
+    if isinstance(study, PathsStudy):
+        paths = compare_paths(study, read, report_progress)
+        rows = [facts_of(row) for row in paths.rows]
+        return StudyResult(rows, [output.path_table(study.title, paths)], list(paths.notes), output.of_paths(paths))
     if isinstance(study, SpotsStudy):
         spots = compute_spots(study, report_progress)
         shown = output.spot_tables(study, spots)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.config.study import CorrectionsStudy, PartStudy
+from polishd.config.study import CorrectionsStudy, PartStudy, PathsStudy
 from polishd.model.program import Program
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrology.conditioning import MARGIN_MM, MIN_SAMPLES, ConditionedMap, condition, process_grid
@@ -36,7 +36,7 @@ def study_grid(study: PartStudy, pitch_mm: float) -> Grid:
     return process_grid(study.outline(), pitch_mm, max(MARGIN_MM, study.path.extension_mm))
 
 
-def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
+def start_surface(study: CorrectionsStudy | PathsStudy, read: ReadMap) -> ConditionedMap:
     """Return the surface on the process grid with its masks; ConfigError where the map is invalid."""
     part, wanted = study.part, study.surface
     if wanted.rms_nm is not None and wanted.period_mm is not None:
@@ -56,7 +56,9 @@ def start_surface(study: CorrectionsStudy, read: ReadMap) -> ConditionedMap:
         )
 
 
-def drawn_surface(study: CorrectionsStudy, rms_nm: float, period_mm: tuple[float, float]) -> ConditionedMap:
+def drawn_surface(
+    study: CorrectionsStudy | PathsStudy, rms_nm: float, period_mm: tuple[float, float]
+) -> ConditionedMap:
     """Draw a surface of this RMS over the clear aperture, without the terms that the part's maps are levelled by."""
     part = study.part
     grid = study_grid(study, study.process.grid_mm)

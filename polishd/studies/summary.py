@@ -13,12 +13,13 @@ from polishd.studies.result_store import OVER, Row
 
 SURE = 0.95
 """Confidence of all intervals."""
-LABELS = ("scenario", "plant", "size_is", "name", "loop", "correction")
+LABELS = ("scenario", "plant", "size_is", "name", "loop", "correction", "disturbance", "family")
 """Columns that label a row; cases are compared by the last one present."""
 FIGURES: dict[str, tuple[str, ...]] = {
     "loop": ("true_rms_end_nm", "passes_to_tolerance"),
     "corrections": ("rms_nm", "pv_nm", "dwell_s"),
     "spots": ("removal_depth_nm", "volume_mm3", "jsd_x_y"),
+    "paths": ("msf_nm", "line_peak", "rms_nm", "time_s"),
     "passes": ("pv_share", "slope", "correlation"),
 }
 """Figures to summarize, by kind of study; sensitivity is computed for the first."""

@@ -109,7 +109,7 @@ VIEWS = (
     Shot("queue", "polishing", "queue"),
     Shot("history", "polishing", "history"),
     Shot("map-2d", "polishing", "maps"),
-    Shot("map-3d", "polishing", "maps", solid),
+    Shot("map-3d", "polishing", "maps?look=solid"),
     Shot("cell", "polishing", "cell"),
 )
 """In all sizes."""

@@ -92,8 +92,24 @@ class SampleKeys(ConfigSection):
 class MakeKeys(ConfigSection):
     """Keys of [program] in addition to those of a cell."""
 
-    make: Literal["raster", "spiral", "none"] = "raster"
-    """The program to make if `path` names none."""
+    make: Literal["raster", "spiral", "concentric", "random", "none"] = "raster"
+    """The program to make if `path` names none. `random` has half the line distance of the others."""
+    cross_deg: Annotated[float, Field(ge=1, le=179)] | None = None
+    """Of `raster`: angle to a second raster of the same pass."""
+    phase: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Shift of the lines, in line distances; not of `random`. [1]"""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Of `random`: another path for another number. [1]"""
+
+    @model_validator(mode="after")
+    def _of_shape(self) -> Self:
+        if self.cross_deg is not None and self.make != "raster":
+            raise ValueError(f'cross_deg: goes with make = "raster", not with "{self.make}"; remove it')
+        if self.phase and self.make == "random":
+            raise ValueError('phase: does not go with make = "random"; set another seed instead')
+        if self.seed and self.make != "random":
+            raise ValueError(f'seed: goes with make = "random", not with "{self.make}"; remove it')
+        return self
 
 
 class SpotKeys(ConfigSection):

@@ -243,6 +243,8 @@ NO_DIALOG = (
 )
 PITCH_MM = 1.0
 """Most distance of a made program's lines, and the length of its moves."""
+RANDOM_PITCH = 0.5
+"""Mean line distance of a pseudo-random path, over that of a raster (docs/explanation/ripple.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +406,14 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
     config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
     try:
         quiet = quiet_lines(config, PITCH_MM, shape=shape)
-        options = MakeOptions(shape, Path(config.program.path), pitch_mm=quiet.pitch_mm, step_mm=PITCH_MM)
+        wanted = draft.answers.own.program
+        options = MakeOptions(
+            shape,
+            Path(config.program.path),
+            pitch_mm=quiet.pitch_mm * (RANDOM_PITCH if shape == "random" else 1.0),
+            step_mm=PITCH_MM,
+            **wanted.model_dump(include={"cross_deg", "phase", "seed"}),
+        )
         if draft.maker is not None:
             options = replace(options, encoding=draft.maker.encoding, dwell_s=draft.maker.dwell_s)
         made = make_program(options, config, plugins_of(config))
@@ -417,6 +426,8 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
             "part.origin_mm", f"{problem}. Nothing was written. Move the part there, or mend [kinematics]"
         ) from error
     draft.files[config.program.path] = made.text
+    if shape == "random":  # whose lines have no common distance that could be quiet
+        return f"random, {made.answer['points']} points, lines {options.pitch_mm:.3g} mm apart in the mean"
     return f"{shape}, {made.answer['points']} points, {quiet.words}"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -36,6 +36,7 @@ def raster(
     *,
     optic: Optic = FLAT,
     direction_deg: float = 0.0,
+    phase: float = 0.0,
     overrun_mm: float = 1.0,
     landing_mm: float = 5.0,
 ) -> FloatArray:
@@ -51,6 +52,7 @@ def raster(
         step_mm: wanted length of the moves; each stretch is cut into equal moves of about this length.
         optic: the surface that the points lie on.
         direction_deg: where the first line runs, counterclockwise from the part's x.
+        phase: shift of all lines across, in pitches: a second pass with 0.5 runs between the lines of the first.
         overrun_mm: how far the lines go beyond the aperture.
         landing_mm: the first and the last point lie at least this far outside the aperture.
 
@@ -65,7 +67,7 @@ def raster(
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     seen = aperture.turned(-direction_deg) if direction_deg else aperture
     covered = seen.larger(overrun_mm)
-    y = _lines(optic, axes[1], pitch_mm, covered.heights_mm)
+    y = line_heights(optic, axes[1], pitch_mm, covered.heights_mm, phase)
     left, right = covered.spans_mm(y)
     backwards = len(y) % 2 == 0  # the last line
     ways = (
@@ -73,6 +75,61 @@ def raster(
         _lead(seen.larger(landing_mm), float((left if backwards else right)[-1]), float(y[-1]), -1 if backwards else 1),
     )
     return along_polyline(optic, _to_and_fro(y, left, right, ways) @ axes, step_mm)
+
+
+def crossed_raster(
+    aperture: Aperture,
+    pitch_mm: float,
+    step_mm: float,
+    *,
+    cross_deg: float = 90.0,
+    optic: Optic = FLAT,
+    direction_deg: float = 0.0,
+    phase: float = 0.0,
+    overrun_mm: float = 1.0,
+    landing_mm: float = 5.0,
+) -> FloatArray:
+    """Points of two rasters, one after the other, the second turned by an angle: each does half of the removal.
+
+    Between them the path runs round the part, as far outside as it lands. Each pattern has half the height that one
+    raster leaves, at another direction: together their RMS is that of one over the root of 2.
+
+    Args:
+        aperture: as `raster`, as all other arguments.
+        pitch_mm: distance of the lines of each raster.
+        step_mm: wanted length of the moves.
+        cross_deg: angle from the first raster to the second.
+        optic: the surface that the points lie on.
+        direction_deg: of the first raster.
+        phase: of both rasters.
+        overrun_mm: as `raster`.
+        landing_mm: as `raster`.
+
+    Returns:
+        (n + 1, 3) mm, part frame: n moves.
+
+    Raises:
+        ComputeError: as `raster`; an angle below 1 or above 179 degrees: both patterns would add up.
+    """
+    require_number("the angle between both rasters", cross_deg, "deg", above=1.0 - 1e-9, below=179.0 + 1e-9)
+    first, second = (
+        raster(
+            aperture, pitch_mm, step_mm, optic=optic, direction_deg=turn, phase=phase, overrun_mm=overrun_mm,
+            landing_mm=landing_mm,
+        )
+        for turn in (direction_deg, direction_deg + cross_deg)
+    )  # fmt: skip
+    way = _round_mm(aperture.larger(max(landing_mm, overrun_mm)), first[-1, :2], second[0, :2])
+    return np.concatenate([first[:-1], along_polyline(optic, way, step_mm), second[1:]])
+
+
+def _round_mm(outside: Aperture, start: FloatArray, end: FloatArray) -> FloatArray:
+    """(k, 2) corners of the shorter way round an aperture, from a place beside it to another."""
+    begin, turn = np.arctan2(start[1], start[0]), np.arctan2(end[1], end[0])
+    swing = (turn - begin + np.pi) % (2 * np.pi) - np.pi
+    azimuth = begin + np.linspace(0.0, 1.0, max(int(abs(swing) / ROUND_RAD), 1) + 1) * swing
+    rim = outside.rim_mm(azimuth) / np.cos(ROUND_RAD / 2)  # chords touch the aperture at most
+    return np.concatenate([start[None], rim[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1), end[None]])
 
 
 def check_lengths(pitch_mm: float, step_mm: float, overrun_mm: float, landing_mm: float) -> None:
@@ -83,8 +140,12 @@ def check_lengths(pitch_mm: float, step_mm: float, overrun_mm: float, landing_mm
         require_number(what, value, "mm", above=-1e-12)
 
 
-def _lines(optic: Optic, across: FloatArray, pitch: float, reach: tuple[float, float]) -> FloatArray:
-    """(m,) distances of the lines from the centre within the reach, the topmost first."""
+def line_heights(
+    optic: Optic, across: FloatArray, pitch: float, reach: tuple[float, float], phase: float = 0.0
+) -> FloatArray:
+    """(m,) distances of the lines from the centre within the reach, the topmost first; without a phase one is there."""
+    require_number("the phase of the lines", phase, "", above=-MOST_LINES, below=MOST_LINES)
+    shift = phase - np.floor(phase)
     require_number("the number of lines", (reach[1] - reach[0]) / pitch, "", above=0.0, below=MOST_LINES)
     sides = []
     for end, sign in zip(reach, (-1.0, 1.0), strict=True):
@@ -92,10 +153,11 @@ def _lines(optic: Optic, across: FloatArray, pitch: float, reach: tuple[float, f
         t = np.linspace(0.0, far, max(int(np.ceil(far / pitch * SECTION)), 1) + 1)
         height = on_optic(optic, sign * t[:, None] * across)[:, 2]
         way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(t), np.diff(height)))])
-        wanted = np.arange(1, int(np.floor(way[-1] / pitch + 1e-9)) + 1) * pitch
+        own = shift if sign > 0 else 1.0 - shift  # the line at the centre, without a shift, counts as above it
+        wanted = (own + np.arange(max(int(np.floor(way[-1] / pitch - own + 1e-9)) + 1, 0))) * pitch
         sides.append(sign * np.interp(wanted, way, t))
     below, above = sides
-    return np.concatenate([above[::-1], [0.0], below])
+    return np.concatenate([above[::-1], below])
 
 
 def _lead(outside: Aperture, x: float, y: float, sign: int) -> float:
@@ -125,6 +187,10 @@ NEAR_RAD = 0.1
 """Most angle between two samples of the way along the curve, which counts near the centre."""
 SAMPLES = 2049
 """Samples along each of them."""
+ROUND_RAD = 0.03
+"""Angle between two corners of the way round a part."""
+RING_CHANGE = 1 / 8
+"""Share of a turn that leads from a ring to the next."""
 SMALL_RAD = 1e-6
 """Two points of the curve that are so far apart tell its direction."""
 
@@ -136,6 +202,8 @@ def spiral(
     *,
     optic: Optic = FLAT,
     inwards: bool = False,
+    rings: bool = False,
+    phase: float = 0.0,
     overrun_mm: float = 1.0,
     landing_mm: float = 5.0,
     way_in: bool = True,
@@ -153,6 +221,9 @@ def spiral(
         step_mm: wanted length of the moves: all are equal but for the way in or out.
         optic: the surface that the points lie on.
         inwards: from outside to the centre.
+        rings: concentric rings instead, the innermost half a pitch from the centre. An eighth of each turn leads to the
+            next ring; there the distance of neighbors is the same.
+        phase: shift of all turns outwards, in pitches: a second pass with 0.5 runs between the turns of the first.
         overrun_mm: how far it goes beyond the aperture.
         landing_mm: the ends lie at least this far outside the aperture.
         way_in: False: without the way in; it begins at the centre or in the hole, where the tool must not stand.
@@ -165,8 +236,16 @@ def spiral(
     """
     check_lengths(pitch_mm, step_mm, overrun_mm, landing_mm)
     covered = aperture.larger(overrun_mm)
-    curve = _Spiral(covered, optic, *_turns(covered, optic, pitch_mm))
-    first, last = (2 * np.pi * np.interp([covered.hole_mm, covered.radius_mm], curve.radius_mm, curve.turns)).tolist()
+    require_number("the phase of the turns", phase, "", above=-MOST_LINES, below=MOST_LINES)
+    turns, radius = _turns(covered, optic, pitch_mm)
+    first, last = (2 * np.pi * np.interp([covered.hole_mm, covered.radius_mm], radius, turns)).tolist()
+    curve = _Spiral(covered, optic, turns, radius, 2 * np.pi * (phase - np.floor(phase)))
+    if rings:
+        # turn k runs on ring k; of the hole's rim and the part's, the rings next to them are whole
+        shift = (0.5 + phase) % 1.0
+        curve = replace(curve, azimuth_rad=0.0, ring_shift=shift)
+        first = 2 * np.pi * max(np.ceil(first / (2 * np.pi) - shift - 1e-9), 0.0 if shift > 0.1 else 1.0)
+        last = 2 * np.pi * max(np.ceil(last / (2 * np.pi) - shift), first / (2 * np.pi) + 1.0)
     count = pitch_mm * (last**2 - first**2) / (4 * np.pi * step_mm)
     require_points(count)
     far = np.sqrt(np.linspace(first**2, last**2, 2 * int(count) + 2))
@@ -191,15 +270,28 @@ class _Spiral:
     """(k,) turns run through, from 0, at ..."""
     radius_mm: FloatArray
     """... (k,) distances from the axis where the rim is farthest."""
+    azimuth_rad: float = 0.0
+    """Where it begins, counterclockwise from x."""
+    ring_shift: float | None = None
+    """Of concentric rings, the innermost one's distance from the centre in turns; None: a spiral."""
 
     def __call__(self, angle_rad: FloatArray) -> FloatArray:
         return on_optic(self.optic, self.plane(angle_rad))
 
     def plane(self, angle_rad: FloatArray) -> FloatArray:
         """(n, 2) points seen from above."""
-        share = np.interp(angle_rad / (2 * np.pi), self.turns, self.radius_mm) / self.radius_mm[-1]
-        way = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
-        return np.asarray(way * (share * self.covered.rim_mm(angle_rad))[:, None], dtype=np.float64)
+        turn = angle_rad / (2 * np.pi)
+        if self.ring_shift is not None:
+            ring = np.floor(turn)
+            beyond = np.maximum(turn - ring - (1 - RING_CHANGE), 0.0) / RING_CHANGE
+            turn = self.ring_shift + ring + beyond**2 * (3 - 2 * beyond)
+        # beyond the rim it goes on as far apart as the last turns are
+        far = (turn - self.turns[-1]) * (self.radius_mm[-1] - self.radius_mm[-2]) / (self.turns[-1] - self.turns[-2])
+        radius = np.interp(turn, self.turns, self.radius_mm) + np.maximum(far, 0.0)
+        azimuth = angle_rad + self.azimuth_rad
+        way = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+        rim = self.covered.rim_mm(azimuth)
+        return np.asarray(way * (radius / self.radius_mm[-1] * rim)[:, None], dtype=np.float64)
 
     def heading(self, angle_rad: float) -> FloatArray:
         """(2,) unit direction of the run just after it."""

@@ -460,3 +460,47 @@ def test_nothing_takes_the_place_of_a_pipe(tmp_path: Path) -> None:
     error, _ = refused(tmp_path, "spiral", "--aperture", "circle:9")
     assert "is no file" in str(error)
     assert (tmp_path / "made.nc").is_fifo()
+
+
+@pytest.mark.parametrize(
+    "words", [("concentric", "--phase", 0.5), ("random", "--seed", 2, "--radius", 3), ("raster", "--cross", 60)]
+)
+def test_paths_that_spread_the_ripple(words: tuple[object, ...], tmp_path: Path) -> None:
+    said, program = made(tmp_path, *words, "--aperture", "circle:30", *OFF_AXIS)
+    assert said["points"] == program.n
+    ends = np.stack([program.start_mm[0], program.end_mm[-1]])
+    assert (np.hypot(*ends[:, :2].T) >= 20 - 1e-3).all()
+    np.testing.assert_allclose(program.end_mm[:, 2], sag_mm(OFF_AXIS_OPTIC, program.end_mm[:, :2]), atol=1e-4)
+
+
+def test_an_adaptive_raster_follows_a_map(tmp_path: Path) -> None:
+    side = (np.arange(80) - 39.5) * 0.5
+    round_part = np.hypot(side[None, :], side[:, None]) <= 15
+    map_file = tmp_path / "part.dat"
+    map_file.write_bytes(pack(DatMap(np.where(round_part, 100 + 5 * side[None, :], np.nan), 0.5)))
+    _, program = made(
+        tmp_path, "adaptive", "--aperture", f"mask:{map_file}", "--removal", map_file, "--direction", 90
+    )  # fmt: skip
+    x = program.end_mm[np.hypot(*program.end_mm.T[:2]) < 14, 0]
+    assert np.count_nonzero(x > 5) > 1.2 * np.count_nonzero(x < -5)
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("adaptive",), "adaptive needs --removal"),
+        (("spiral", "--cross", 90), "--cross goes with raster, not with spiral"),
+        (("raster", "--seed", 3), "--seed goes with random, not with raster"),
+        (("random", "--phase", 0.5), "--phase goes with raster, spiral, concentric, not with random"),
+    ],
+)
+def test_options_of_another_shape(words: tuple[object, ...], what: str, tmp_path: Path) -> None:
+    said = call(*words, "--aperture", "circle:30", "--out", tmp_path / "made.nc")
+    assert said.exit_code == 2
+    assert what in " ".join(said.output.replace("\u2502", " ").split())
+
+
+def test_a_spot_wider_than_the_part(tmp_path: Path) -> None:
+    error, files = refused(tmp_path, "random", "--cell", EXAMPLE, "--aperture", "circle:3")
+    assert "the spot's radius of 1.6" in str(error)
+    assert not files

@@ -25,6 +25,9 @@ KINDS = {
     "rectangle": "[part]\nrectangle_mm = [16.0, 12.0]\n",
     "polygon": "[part]\npolygon_mm = [[9, 7], [-9, 7], [-9, -7], [9, -7]]\n",
     "spiral": ROUND + '[program]\nmake = "spiral"\n',
+    "rings, shifted": ROUND + '[program]\nmake = "concentric"\nphase = 0.5\n',
+    "two rasters": ROUND + "[program]\ncross_deg = 60.0\n",
+    "pseudo-random": '[part]\naperture_mm = 16.0\n[program]\nmake = "random"\nseed = 3\n',
     "program turned and shifted": ROUND + "[program]\noffset_mm = [250.0, 100.0, 0.0]\nrotation_deg = 30.0\n",
     "LinuxCNC": ROUND + '[robot]\ntype = "linuxcnc"\naddress = "tcp://robot:5007"\nprogram_dir = "nc"\n',
     "profiles": ROUND + '[spindle]\ntype = "spindle_profile"\nprofile = "delta_ms300"\naddress = "serial:/dev/ttyS0"\n',
@@ -77,3 +80,16 @@ def test_a_sample_map_tells_the_part_and_begins_the_profile(tmp_path: Path) -> N
     assert (config.part.id, config.part.aperture_mm, config.job.id) == ("blank-7", 29.0, "blank-7")
     assert {"part.id", "part.aperture_mm"} <= set(shown["look"])
     assert "gives" not in shown["texts"]["instrument.toml"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "what"),
+    [
+        ('make = "spiral"\ncross_deg = 90.0', "cross_deg: goes with make = .raster., not with .spiral."),
+        ('make = "random"\nphase = 0.5', "phase: does not go with make = .random."),
+        ("seed = 3", "seed: goes with make = .random., not with .raster."),
+    ],
+)
+def test_keys_of_another_path_are_refused(tmp_path: Path, keys: str, what: str) -> None:
+    with pytest.raises(ConfigError, match=what):
+        init(tmp_path, f"{ROUND}[program]\n{keys}\n")

@@ -13,7 +13,7 @@ from polishd.model.process import FLAT, Optic
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.optic_surface import sag_mm
 from polishd.process.toolpath.apertures import Aperture, annulus, circle, ellipse, over_mask, rectangle
-from polishd.process.toolpath.paths import LEAD_IN_MM, raster
+from polishd.process.toolpath.paths import LEAD_IN_MM, crossed_raster, raster
 
 APERTURES = {"circle": circle(60), "ellipse": ellipse(70, 30), "rectangle": rectangle(50, 24), "ring": annulus(60, 20)}
 
@@ -189,3 +189,32 @@ def test_lengths_that_are_none(pitch: float, step: float, overrun: float, landin
     for optic in (FLAT, Optic(100.0)):
         with pytest.raises(ComputeError, match=what):
             raster(circle(30), pitch, step, optic=optic, overrun_mm=overrun, landing_mm=landing)
+
+
+def test_a_phase_shifts_the_lines() -> None:
+    both = (raster(circle(60), 2.0, 1.0, phase=phase) for phase in (0.0, 0.5))
+    first, second = (np.unique(np.round(one[np.abs(one[:, 0]) < 5, 1], 6)) for one in both)
+    np.testing.assert_allclose(np.diff(second), 2.0)
+    assert np.abs(first[:, None] - second).min() == pytest.approx(1.0)
+    np.testing.assert_array_equal(raster(circle(60), 2.0, 1.0, phase=3.0), raster(circle(60), 2.0, 1.0))
+    assert KDTree(raster(circle(60), 2.0, 1.0, phase=0.3)[:, :2]).query(samples(circle(60)))[0].max() < 1.2
+
+
+@pytest.mark.parametrize("name", APERTURES)
+@pytest.mark.parametrize("cross", [60.0, 90.0])
+def test_a_crossed_raster_is_two_rasters_and_a_way_round(name: str, cross: float) -> None:
+    aperture = APERTURES[name]
+    points = crossed_raster(aperture, 1.5, 1.0, cross_deg=cross, landing_mm=6.0)
+    first, second = (raster(aperture, 1.5, 1.0, direction_deg=turn, landing_mm=6.0) for turn in (0.0, cross))
+    np.testing.assert_array_equal(points[: len(first)], first)
+    np.testing.assert_array_equal(points[-len(second) :], second)
+    way = points[len(first) - 1 : len(points) - len(second) + 1]
+    assert (outside(aperture, way) > 5.9).all(), "the tool does not cross the part between both"
+    assert lengths(points).max() < 1.6
+    assert lengths(way).sum() < np.pi * (aperture.radius_mm + 20) + 20, "the shorter way"
+
+
+@pytest.mark.parametrize("cross", [0.0, 180.0, float("nan")])
+def test_rasters_that_do_not_cross(cross: float) -> None:
+    with pytest.raises(ComputeError, match="the angle between both rasters is"):
+        crossed_raster(circle(60), 1.5, 1.0, cross_deg=cross)

@@ -192,3 +192,40 @@ def test_a_million_points() -> None:
     points = spiral(circle(1100), 1.0, 1.0, optic=Optic(4000.0, -1.0))
     assert 0.95e6 < len(points) < 1.05e6
     assert np.isfinite(points).all()
+
+
+def test_a_phase_shifts_the_turns() -> None:
+    """On each ray from the center the turns of the second spiral lie between those of the first."""
+    crossed = []
+    for phase in (0.0, 0.5):
+        points = spiral(circle(60), 2.0, 0.2, phase=phase, landing_mm=0.0)[1:]
+        angle = run(points)
+        crossed.append(np.interp(2 * np.pi * np.arange(2, 14), angle, np.hypot(*points.T[:2])))
+    np.testing.assert_allclose(np.diff(crossed, axis=1), 2.0, atol=0.02)
+    np.testing.assert_allclose(np.abs(crossed[1] - crossed[0]) % 2.0, 1.0, atol=0.02)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5])
+def test_concentric_rings(phase: float) -> None:
+    points = spiral(circle(60), 2.0, 0.5, rings=True, phase=phase)
+    r = np.hypot(*points.T[:2])
+    rings = (0.5 + phase) % 1.0 * 2.0 + 2.0 * np.arange(1, 15)
+    on_ring = np.abs(r[:, None] - rings[rings < 30]).min(axis=1) < 1e-2  # chords of 0.5 mm
+    within = (r > 4) & (r < 29)
+    assert 0.8 < on_ring[within].mean() < 0.95, "an eighth of each turn leads to the next"
+    assert lengths(points)[5:-25].max() < 0.51
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("phase", [0.0, 0.5])
+@pytest.mark.parametrize("name", APERTURES)
+def test_rings_cover_any_aperture(name: str, phase: float) -> None:
+    aperture = APERTURES[name]
+    points = whole_spiral(aperture, 1.0, 1.0, rings=True, phase=phase, landing_mm=6.0)
+    covered = samples(aperture)
+    covered = covered[np.hypot(*covered.T) >= aperture.hole_mm]
+    assert KDTree(points[:, :2]).query(covered)[0].max() < 1.2
+    assert (outside(aperture, points[[0, -1]]) > 6.0 - 1e-3).all()
+    if aperture.hole_mm:
+        turns = spiral(aperture, 1.0, 1.0, rings=True, phase=phase)
+        assert np.hypot(*turns.T[:2]).min() > aperture.hole_mm - 2.0
