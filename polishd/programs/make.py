@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -148,11 +149,13 @@ def _with_pitch(options: MakeOptions, config: CellConfig | None) -> tuple[MakeOp
         )
     if budget_s is not None and (config is None or options.pitch_mm is not None):
         raise typer.BadParameter("--time-budget chooses the line distance: give it with --cell, without --pitch")
-    if config is None or options.pitch_mm is not None or options.shape not in REGULAR:
-        return replace(options, pitch_mm=options.pitch_mm or RASTER_MM), None
-    lines = {"shape": options.shape, "direction_deg": options.direction_deg}
+    if options.pitch_mm is not None:
+        return options, None
+    if config is None or options.shape not in REGULAR:
+        return replace(options, pitch_mm=RASTER_MM), None
+    find = partial(quiet_lines, config, shape=options.shape, direction_deg=options.direction_deg)
     if budget_s is None:
-        quiet = quiet_lines(config, RASTER_MM, **lines)
+        quiet = find(RASTER_MM)
         return replace(options, pitch_mm=quiet.pitch_mm), quiet
     if not 0 < budget_s < np.inf:
         raise typer.BadParameter(f"--time-budget {budget_s:g}: must be above 0")
@@ -160,7 +163,7 @@ def _with_pitch(options: MakeOptions, config: CellConfig | None) -> tuple[MakeOp
     for _ in range(BUDGET_ROUNDS):  # turns and landings are no part of the proportion
         least_mm = max(least_mm, LEAST_PITCH_MM)
         at_most_mm = max(RASTER_MM, MORE_PATH * least_mm)
-        quiet = quiet_lines(config, at_most_mm, **lines, more_path=at_most_mm / least_mm)
+        quiet = find(at_most_mm, more_path=at_most_mm / least_mm)
         found = replace(options, pitch_mm=quiet.pitch_mm)
         over = _path_s(found, config) / budget_s
         if over <= 1.0:
@@ -213,7 +216,7 @@ def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
 def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
     """Points on the optic and tool axes, in the part's frame. ComputeError where there are none."""
     aperture, optic = _aperture(options, config), _optic(options, config)
-    lengths = (options.pitch_mm or RASTER_MM, options.step_mm)
+    lengths = (RASTER_MM if options.pitch_mm is None else options.pitch_mm, options.step_mm)
     beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
     beyond |= {"optic": optic}
     _require_shape(options)

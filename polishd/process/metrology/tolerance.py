@@ -6,7 +6,7 @@ Surface form figures are those of ISO 10110-5:2015, as ISO 14999-4:2015 evaluate
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from functools import cached_property
 
@@ -189,8 +189,8 @@ def judge_lines(
         uncertainty = repeatability_nm if line.figure in NORMS else None
         value = _figure(line, surface)
         nominal, high = (_with_ripple(line, surface, value, ripple, high=high) for high in (False, True))
-        own = {"uncertainty": uncertainty, "with_ripple": nominal, "with_ripple_high": high}
-        found.append(LineResult(line.what, value, line.limit, line.unit, **own))
+        one = LineResult(line.what, value, line.limit, line.unit, uncertainty)
+        found.append(replace(one, with_ripple=nominal, with_ripple_high=high))
     return tuple(found)
 
 

@@ -507,8 +507,11 @@ def _fitted(frame: _Frame, patches: Sequence[_Patch], waves: Sequence[_Wave]) ->
     terms += [part(2 * np.pi * (where @ way) / period) for _, way, period in waves for part in (np.cos, np.sin)]
     weight = np.cos(np.pi * v / 2)[:, None]
     basis = np.column_stack(terms) * weight
-    inverse = scipy.linalg.cho_factor(basis.T @ basis)  # polynomials of few orders beside waves: well conditioned
-    found = scipy.linalg.cho_solve(inverse, basis.T @ ((height - height.mean(axis=0)) * weight))
+    wanted = (height - height.mean(axis=0)) * weight
+    try:  # polynomials of few orders beside waves: the normal equations are well conditioned, and half as long
+        found = scipy.linalg.cho_solve(scipy.linalg.cho_factor(basis.T @ basis), basis.T @ wanted)
+    except scipy.linalg.LinAlgError:
+        found = np.linalg.lstsq(basis, wanted, rcond=None)[0]
     own = found[-2 * len(waves) :].reshape(len(waves), 2, -1)
     kept = np.array([_kept(way / period, frame.cell_mm) for _, way, period in waves])
     return np.asarray(np.hypot(own[:, 0], own[:, 1]) / kept[:, None], dtype=np.float64)

@@ -508,13 +508,16 @@ class Tool:
 
     def _wear(self, height_nm: FloatArray, grid: Grid, centre_mm: FloatArray, at: dict[str, FloatArray]) -> None:
         """Take the removal of n contacts off a surface, in place, by the measured removal where there is one."""
-        own, off = {"centre_mm": centre_mm, "skew": self.effects.skew}, self.effects
-        shared = {key: at[key] for key in ("axis", "depth_mm", "stretch")}
+        off, shared = (
+            self.effects,
+            {"centre_mm": centre_mm, **{key: at[key] for key in ("axis", "depth_mm", "stretch")}},
+        )
         if self.stamp is not None:
-            self.stamp.wear(height_nm, grid, turns=at["rpm"] * at["seconds"] * off.bonnet, **shared, **own)
+            turns = at["rpm"] * at["seconds"] * off.bonnet
+            self.stamp.wear(height_nm, grid, turns=turns, skew=off.skew, **shared)
         else:
             more = {key: at[key] for key in ("rpm", "seconds", "radius_mm")}
-            wear(height_nm, grid, self.process, **more, **shared, **own)
+            wear(height_nm, grid, self.process, skew=off.skew, **more, **shared)
 
     def stiffness_n_per_mm(self, force_n: FloatArray, curvature_per_mm: FloatArray) -> FloatArray:
         """(n,) of the contact under forces (n,) on a part so curved: Hertz's dF/dd, 1.5 F over the depth."""
