@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ TITLE_IN, LABELS_IN, BAR_IN = 0.42, 0.46, 0.54
 """Room for two lines of title above a panel, for the labels of x below it, and for the color bar below those."""
 WIDEST_IN, LOWEST_IN, HIGHEST_IN = 2.8, 0.45, 3.2
 """Size of a panel: at most, and its height at least."""
+HEADING_LETTERS = 90
+"""Of a line of the heading."""
 SLENDER = 0.5
 """Height over width of a part below which its maps are drawn below each other."""
 
@@ -39,13 +42,16 @@ class MapGroup(NamedTuple):
     limit_nm: float
 
 
-def map_grid(groups: Sequence[MapGroup], pitch_mm: float | None, label: str = "height, nm") -> Figure:
+def map_grid(
+    groups: Sequence[MapGroup], pitch_mm: float | None, label: str = "height, nm", heading: str = ""
+) -> Figure:
     """Draw groups of maps: x and y in mm, red is high.
 
     Args:
         groups: the first map decides on the shape of the panels.
         pitch_mm: None: x and y are in pixels.
         label: of the color bars.
+        heading: a sentence above the maps.
     """
     ny, nx = groups[0].panels[0].height_nm.shape
     aspect = ny / nx
@@ -57,8 +63,10 @@ def map_grid(groups: Sequence[MapGroup], pitch_mm: float | None, label: str = "h
     rows = list(_rows(groups, columns))
     last = {group: at for at, row in enumerate(rows) for group, _ in row}
     bars = [at in last.values() for at in range(len(rows))]
-    fig = page_figure(sum(TITLE_IN + high_in + LABELS_IN + BAR_IN * bar for bar in bars))
-    top_in = float(fig.get_size_inches()[1])
+    lines = textwrap.wrap(heading, HEADING_LETTERS)
+    top_in = sum(TITLE_IN + high_in + LABELS_IN + BAR_IN * bar for bar in bars)
+    fig = page_figure(top_in + 0.2 * len(lines))
+    fig.text(0.02, 0.99, "\n".join(lines), va="top", parse_math=False)
     images: list[list[AxesImage]] = [[] for _ in groups]
     for at, row in enumerate(rows):
         bottom_in = top_in - TITLE_IN - high_in

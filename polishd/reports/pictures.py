@@ -19,7 +19,7 @@ from polishd.rendering.scales import PERCENTILE, height_limit
 
 LEFT_IN, RIGHT_IN = 0.68, 0.14
 """Room for the labels of y and for half of the last label of x, of a chart."""
-LEGEND_IN = 1.9
+LEGEND_IN = 2.45
 """Room for a legend beside a chart."""
 
 MAPS_CAPTION = (

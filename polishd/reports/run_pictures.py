@@ -250,4 +250,4 @@ def _removal_check_picture(arrays: Arrays, result: Mapping[str, Any]) -> Figure:
         ("best_residual_nm", "Measured - best\nexplanation"),
     )
     maps = [MapPanel(title, np.where(mask, arrays[key], np.nan), mask) for key, title in panels]
-    return map_grid([MapGroup(maps, height_limit(measured.inside()))], measured.pitch_mm, "removal, nm")
+    return map_grid([MapGroup(maps, height_limit(measured.inside()))], measured.pitch_mm, "removal, nm", result["stop"])

@@ -41,5 +41,16 @@ def test_maps_of_a_slender_part_lie_below_each_other() -> None:
     assert tops[0] > tops[1]
 
 
+def test_a_long_heading_stays_on_the_page() -> None:
+    heights = np.zeros((40, 40))
+    words = "another orientation explains the map better than the last pass does " * 4
+    with polishd_style():
+        fig = map_grid([MapGroup([MapPanel("Measured", heights)], 1.0)], 0.5, heading=words)
+        require_legible(fig)
+    (text,) = fig.texts
+    assert text.get_window_extent().x1 < fig.bbox.x1
+    assert text.get_window_extent().y0 > fig.axes[0].title.get_window_extent().y1
+
+
 def test_a_map_without_a_lateral_scale_is_in_pixels() -> None:
     assert drawn((40, 40), [1], None).axes[0].get_xlabel() == "x, px"
