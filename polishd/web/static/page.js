@@ -150,6 +150,9 @@ function watch() {
   stream.addEventListener("error", () => { known.heard = -Infinity; show(); });
   stream.addEventListener("open", refresh);
 }
+// A page that is left, or kept by the browser for "back", must hold no connection: there are six for all of its pages.
+addEventListener("pagehide", () => stream?.close());
+addEventListener("pageshow", (event) => { if (event.persisted && known.session) watch(); });
 function link() {
   if (performance.now() - known.heard > LOST_MS) return "page";
   return known.state ? known.state.daemon : "page";
