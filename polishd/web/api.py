@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import re
 import threading
-from collections.abc import AsyncIterator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -179,11 +179,11 @@ class Api:
     async def map(self, request: Request, _session: HttpSession) -> Any:
         """A map as an array."""
         wanted = MapRequest.of(request.path_params["kind"], request.query_params)
-        return await asyncio.to_thread(self._disk.map, *_cycle(request), wanted)
+        return await _in_thread(self._disk.map, *_cycle(request), wanted)
 
     async def cell(self, request: Request, _session: HttpSession) -> Any:
         """Joints of the robot along a plan, its path, and the part."""
-        return await asyncio.to_thread(self._disk.cell, *_cycle(request), self._config)
+        return await _in_thread(self._disk.cell, *_cycle(request), self._config)
 
     async def psd(self, request: Request, _session: HttpSession) -> Any:
         """Spectrum of a measured map."""
@@ -233,6 +233,11 @@ class Api:
         query = request.query_params
         offset, limit = _count(query, "offset", 0, MOST_NUMBER), _count(query, "limit", PAGE, MOST_PAGE)
         return await asyncio.to_thread(self._history.page, _filter(query), query.get("sort", ""), offset, limit)
+
+    def read_history(self) -> None:
+        """Read the journal's finished jobs, which take seconds in a long history, before the first request for them."""
+        with suppress(PolishdError):  # a damaged journal is named at each request
+            self._history.rows()
 
     async def weeks(self, request: Request, _session: HttpSession) -> Any:
         """Figures of each week."""
@@ -333,6 +338,11 @@ class _Stream(StreamingResponse):
         """Send until either side ends."""
         with self._share:
             await super().__call__(scope, receive, send)
+
+
+async def _in_thread(read: Callable[..., dict[str, Any]], *arguments: Any) -> JsonAnswer:
+    """A large answer, computed and encoded beside the event loop."""
+    return await asyncio.to_thread(lambda: JsonAnswer(read(*arguments)))
 
 
 def _failed(error: PolishdError) -> JSONResponse:

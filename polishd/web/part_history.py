@@ -18,11 +18,14 @@ from polishd.daemon.journal.history import JobHistory, read_history, read_only
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.daemon.queue.queue import RULES
 from polishd.model.errors import ConfigError
+from polishd.model.states import Outcome
 from polishd.model.tolerance import LineResult, part_holds
 
 RESULTS = ("accepted", "rejected", "set aside", "stopped", "under way")
 """Results of a part. A job of a cell without queue has that of the same end in a queue."""
-OF_OUTCOME = {end: rule.how for rule in RULES for end in rule.ends if isinstance(end, str)}
+OF_OUTCOME: Mapping[str, str] = {
+    end.value: rule.how for rule in RULES for end in rule.ends if isinstance(end, Outcome) and rule.how
+}
 MOST_PAGE, PAGE = 200, 50
 """Largest and default number of rows of an answer."""
 MOST_WEEKS = 260

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager
@@ -241,7 +242,9 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         async with polling_daemon(config.state_dir) as watcher:
             api.watcher = watcher
+            reading = asyncio.get_running_loop().run_in_executor(None, api.read_history)
             yield
+            await reading
 
     async def sign_in(request: Request) -> Response:
         return await answered(api.sign_in(request, rate))

@@ -154,8 +154,9 @@ class RunData:
     def cell(self, job: int, cycle: int, config: CellConfig) -> dict[str, Any]:
         """Robot, part and path of a cycle's plan in the robot's base frame, with the job's own configuration."""
         with naming_damage(self._state_dir):
-            name, facts = self._one("SELECT plan, facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
-            tool = str(json.loads(facts).get("tool", ""))
+            name = self._plan_name(job, cycle)
+            facts = self._rows("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
+            tool = str(json.loads(facts[0][0]).get("tool", "")) if facts else ""
         for path, content in self._rows("SELECT path, content FROM queue WHERE job = ?", job):
             config = JobFile(Path(path), content).laid_over(config)
         return self._figures.of((name, tool, job), config.of_tool(tool) if tool else config, self._arrays(name))
@@ -221,6 +222,9 @@ class RunData:
         return self._arrays(name)
 
     def _plan(self, job: int, cycle: int) -> dict[str, NDArray[Any]]:
+        return self._arrays(self._plan_name(job, cycle))
+
+    def _plan_name(self, job: int, cycle: int) -> str:
         rows = self._rows("SELECT plan FROM pass WHERE job = ? AND cycle = ?", job, cycle)
         if not rows:  # a plan that waits for approval has no pass yet
             sql = (
@@ -230,7 +234,7 @@ class RunData:
             rows = self._rows(sql, job, cycle)
         if not rows or not rows[0][0]:
             raise NoSuchRow(NO_CYCLE)
-        return self._arrays(rows[0][0])
+        return str(rows[0][0])
 
     def _arrays(self, name: str) -> dict[str, NDArray[Any]]:
         """Arrays of the store. JournalDamage names a file that is missing or is not what was written."""

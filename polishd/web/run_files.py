@@ -31,7 +31,8 @@ class RunFile:
 
     name: str
     path: Path
-    bytes: int
+    size: int
+    """Bytes."""
 
     @property
     def media_type(self) -> str:
@@ -92,16 +93,17 @@ class RunFiles:
     def _certificates(self, files: Mapping[str, RunFile]) -> Iterator[dict[str, Any]]:
         for name, one in files.items():
             pdf = files.get(str(Path(name).with_suffix(".pdf")))
-            if one.path.suffix != ".json" or pdf is None or one.bytes > MOST_CERTIFICATE_BYTES:
+            if one.path.suffix != ".json" or pdf is None or one.size > MOST_CERTIFICATE_BYTES:
                 continue
             if (known := _certificate(one)) is not None:
-                yield {"pdf": pdf.name, "json": name, "bytes": pdf.bytes, **known}
+                yield {"pdf": pdf.name, "json": name, "bytes": pdf.size, **known}
 
 
 def _certificate(file: RunFile) -> dict[str, Any] | None:
     """Return number, date, verdict and key of a certificate; None where the file is none."""
     try:
-        found = json.loads(file.content() or b"")
+        content = file.content()
+        found = {} if content is None else json.loads(content)
         if not str(found["schema"]).startswith(CERTIFICATE_SCHEMA):
             return None
         signature = found["seal"]["signature"]

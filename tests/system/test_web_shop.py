@@ -1,4 +1,4 @@
-"""Queue, history and approval on the page in a browser: order by keys and pointer, figures before approval, comparison."""
+"""Queue, history and approval on the page: order by keys and pointer, figures before approval, comparison."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def asked(draw: st.DrawFn) -> tuple[ApiRoute, str, Role | None, dict[str, Any]]:
     route = draw(st.sampled_from([one for one in ROUTES if one.path != "/api/events"]))
     path = re.sub(r"{\w+(:int)?}", lambda _: draw(PIECES), route.path)
     if draw(st.booleans()):
-        path += f"?before={draw(PIECES)}"
+        path += f"?{draw(st.sampled_from(['before', 'px', 'encoding', 'points']))}={draw(PIECES)}"
     body: dict[str, Any] = {}
     if route.method == "POST":
         known = {name.rstrip("?"): VALUES for name, _ in route.fields}

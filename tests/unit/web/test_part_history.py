@@ -135,7 +135,7 @@ def test_weeks_have_medians_of_the_parts_that_ended_in_them(web: Served) -> None
     assert (week["at_s"], week["parts"], week["accepted"]) == (monday, 3, 3)
     assert week["hours"] == [1.5, 2.0, 4.0]
     assert week["gain"][1] == pytest.approx(0.8)
-    assert web.ask("GET", "/api/history/weeks?text=a").json()["weeks"][-1]["hours"] == [1.0, 1.0, 1.0]
+    assert web.ask("GET", "/api/history/weeks?text=part-a").json()["weeks"][-1]["hours"] == [1.0, 1.0, 1.0]
 
 
 def test_weeks_begin_on_monday_of_local_time(monkeypatch: pytest.MonkeyPatch) -> None:

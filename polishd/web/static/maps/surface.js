@@ -1,5 +1,5 @@
-/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library weighs half a
- * megabyte and would still need the axes, the walls and the keys that are written here. */
+/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library adds
+ * several hundred kB and would still need the axes, the walls and the keys that are written here. */
 import { bytesOf, figure, ticks } from "./colormap.js";
 import { colourBar } from "./height_map.js";
 import { contextOf, rgbOf, theme } from "./theme.js";
@@ -122,7 +122,7 @@ export class Surface {
     axis([sx * hx, -hy, bottom], [sx * hx, hy, bottom], ends(1), "y, mm", (y) => [sx * hx, unit(1)(y), bottom]);
     if (Math.abs(this.camera.pitch) < 1.35) {
       const corners = [[-hx, -hy], [-hx, hy], [hx, -hy], [hx, hy]], [left] = corners.sort((a, b) => project([...a, 0])[0] - project([...b, 0])[0]);
-      const { values, digits } = ticks(box.low, box.high, 4);
+      const { values, digits } = ticks(box.low, box.high, Math.min(5, (project([...left, rise(box.low)])[1] - project([...left, rise(box.high)])[1]) / 24));
       line([...left, bottom], [...left, rise(box.high)]);
       const top = project([...left, rise(box.high)]);
       if (map.unit) text(map.unit, [top[0], top[1] - 4], [top[0], top[1] + 9]);

@@ -49,7 +49,8 @@ export function mount(root, ctx) {
     const mine = plan;
     if (!ready() || !(await ctx.confirm(...asking(mine), { yes: t.approve }))) return;
     if (mine !== plan || !ready()) return; // another plan waits by now: look at that one first
-    await ctx.order(ctx.texts.approve, "/api/approve", { program_sha256: mine.program_sha256 });
+    const answer = await ctx.order(ctx.texts.approve, "/api/approve", { program_sha256: mine.program_sha256 });
+    if (answer?.ok && location.hash === "#approve") ctx.go("dashboard");
   }
   const asking = (one) => { const [title, ...lines] = t.ask(one.cycle, duration(one.figures.dwell_s)); return [title, lines]; };
 
@@ -60,13 +61,13 @@ export function mount(root, ctx) {
     go.disabled = true;
     why.id = "approve-why";
     waits.id = "approve-waits";
-    const head = box("div", "approve-head", box("div", "", made("h2", t.title(plan.cycle, job?.part ?? ctx.state()?.live?.part ?? ""), "title"), waits), box("div", "approve-go", go, why));
-    if (!plan.figures) { body.replaceChildren(head, problem(t.noFigures)); buttonState(); return; }
+    const head = box("div", "approve-head", box("div", "", made("h2", t.title(plan.cycle, job?.part ?? ctx.state()?.live?.part ?? ""), "title"), waits)), foot = box("div", "approve-go", go, why);
+    if (!plan.figures) { body.replaceChildren(head, problem(t.noFigures), foot); buttonState(); return; }
     const place = box("div", "");
     body.replaceChildren(head, box("div", "approve-grid",
       card("approve-figures", t.figure, figures(), ...(plan.last ? [] : [made("p", t.noLast, "note")])),
       box("div", "approve-side", warnings(), limits()),
-    ), card("approve-maps", t.surface, place));
+    ), card("approve-maps", t.surface, place), foot); // the button last, as it is read; a wide page shows it at the top, too
     buttonState();
     showMaps(place);
   }

@@ -43,10 +43,11 @@ export function mount(root, ctx) {
 
   // data
   async function load() {
-    const turn = ++known.asked, list = (ctx.cycles() ?? []).filter((one) => one.run);
+    const turn = ++known.asked, all = ctx.cycles() ?? [], waits = Boolean(ctx.state()?.live?.approval);
+    const list = all.filter((one) => one.run || (waits && one === all.at(-1)));
     if (list.length && !list.some((one) => one.cycle === now.cycle)) now.cycle = list.at(-1).cycle;
     cycles.fill(Object.fromEntries(list.map((one) => [one.cycle, String(one.cycle + 1)])), now.cycle);
-    const key = JSON.stringify([ctx.job(), now.cycle, list.find((one) => one.cycle === now.cycle)?.run.began_s]);
+    const key = JSON.stringify([ctx.job(), now.cycle, list.find((one) => one.cycle === now.cycle)?.run?.began_s]);
     if (known.cell && known.key === key) return;
     const found = list.length ? await ctx.ask("GET", `/api/jobs/${ctx.job()}/cycles/${now.cycle}/cell`) : { status: 404, error: texts.noPlan };
     if (ended || turn !== known.asked) return;

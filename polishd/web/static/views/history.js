@@ -12,7 +12,9 @@ export function mount(root, ctx) {
   const t = ctx.texts.history;
   const filter = { text: "", result: "", days: 91, sort: "", offset: 0 };
   const chosen = new Map(); // job number -> name
-  let shownKey = null, ends = [], reads = 0;
+  let shownKey = null, ends = [], reads = 0, drawn = "";
+  // Draw only what has changed: events come often, and a chart that is made again flickers.
+  const same = (found) => { const now = JSON.stringify(found); const was = drawn === now; drawn = now; return was; };
 
   const drop = () => { for (const end of ends) end(); ends = []; };
   const keep = (one) => { ends.push(() => one.end()); return one; };
@@ -21,7 +23,7 @@ export function mount(root, ctx) {
   async function route(again) {
     const args = ctx.args(), job = Number(args.get("job")), pair = (args.get("compare") ?? "").split(",").map(Number).filter(Boolean);
     const key = pair.length === 2 ? `compare ${pair}` : job ? `job ${job}` : "table";
-    if (key !== shownKey) { drop(); root.replaceChildren(); shownKey = key; } else if (!again) return;
+    if (key !== shownKey) { drop(); root.replaceChildren(); shownKey = key; drawn = ""; } else if (!again) return;
     if (pair.length === 2) await compare(pair, key);
     else if (job) await part(job, key);
     else await table(key);
@@ -43,6 +45,7 @@ export function mount(root, ctx) {
     const [found, weeks] = await Promise.all([ctx.ask("GET", `/api/history?${query(true)}`), ctx.got(`/api/history/weeks?${query(false)}`)]).catch(() => [null, null]);
     if (mine !== reads || shownKey !== key) return;
     if (!found || found.status !== 200) { controls.table.replaceChildren(problem(t.notLoaded, found?.error)); return; }
+    if (same([filter, found, weeks])) return;
     page = found;
     drawTable();
     if (weeks) drawWeeks(weeks.weeks);
@@ -67,7 +70,6 @@ export function mount(root, ctx) {
     periods.setAttribute("role", "group");
     periods.setAttribute("aria-label", t.period);
     const weeks = box("div", "weeks"), rows = box("div", ""), below = box("div", "pager"), picked = box("div", "picked");
-    picked.setAttribute("role", "status");
     const bar = box("div", "filters", search, result, periods);
     return { root: box("div", "history-page", bar, weeks, card("history-parts", t.title, picked, rows, below)), weeks, table: rows, below, picked };
   }
@@ -133,7 +135,9 @@ export function mount(root, ctx) {
     const go = button(t.compareTwo, "primary", () => ctx.go(`history?compare=${numbers.join(",")}`));
     go.id = "history-compare";
     go.disabled = numbers.length !== 2;
-    controls.picked.replaceChildren(made("span", `${[...chosen.values()].join(", ")}. ${numbers.length === 1 ? t.chosen(1) : ""}`), go, button(t.clear, "", () => { chosen.clear(); drawTable(); }));
+    const said = made("span", `${[...chosen.values()].join(", ")}. ${numbers.length === 1 ? t.chosen(1) : ""}`);
+    said.setAttribute("role", "status");
+    controls.picked.replaceChildren(said, go, button(t.clear, "", () => { chosen.clear(); drawTable(); }));
   }
 
   // figures by week
@@ -173,7 +177,7 @@ export function mount(root, ctx) {
   const backLink = () => { const one = made("a", `← ${t.back}`, "back"); one.href = "#history"; return one; };
   async function part(number, key) {
     const mine = ++reads, [one, why] = await load(number);
-    if (mine !== reads || shownKey !== key) return;
+    if (mine !== reads || shownKey !== key || same(one ?? why)) return;
     drop();
     if (!one) { root.replaceChildren(backLink(), problem(t.noPart, why)); return; }
     const head = box("div", "part-head", made("h2", one.part), chip(one.result, t.results[one.result]), made("span", `${t.job} ${one.job}`, "note"));
@@ -303,10 +307,8 @@ export function mount(root, ctx) {
     for (const one of groups) await showMaps(one, one.wanted, key);
   }
 
-  let underWay = false;
   return {
-    refresh() { route(shownKey === "table" || underWay); },
-    update(state) { underWay = state.live?.state === "polishing"; },
+    refresh() { route(shownKey === "table" || shownKey === `job ${ctx.job()}`); },
     unmount: drop,
   };
 }

@@ -54,9 +54,9 @@ export function mount(root, ctx) {
   slider.addEventListener("input", () => { now.relief = Number(slider.value); show(); });
   const flatOnly = [select(texts.outside, texts.hide, now.outside, redraw("outside")), toggle(texts.outline, now.outline, redraw("outline")),
     toggle(texts.path, now.path, async (on) => { now.path = on; await loadPath(); show(); }), toggle(texts.smooth, now.smooth, redraw("smooth"))];
-  card.append(looks, cycles, relief);
+  card.append(cycles, relief);
   options.append(select(texts.colours, texts.tables, now.colours, redraw("colours")), select(texts.ends, texts.scales, now.ends, redraw("ends")), ...flatOnly);
-  head.append(kinds, said);
+  head.append(kinds, looks, said);
   main.append(head, message, map, upright, flat, corner, stage, note);
   side.append(card, numbers, options, spoken);
   view.append(main, side);
@@ -130,6 +130,7 @@ export function mount(root, ctx) {
       [texts.names.pv, value(measured ? measured.pv_nm : m.high - m.low)], [texts.names.rms, value(measured ? measured.rms_nm : m.rms)],
       [texts.names.low, value(m.low)], [texts.names.high, value(m.high)], ...(m.signed ? [] : [[texts.names.mean, value(m.mean)]]),
       [texts.names.size, `${m.nx} × ${m.ny}`], [texts.names.pitch, `${figure(m.pitch_mm, 2)} mm`],
+      ...(now.look === "flat" && drawn ? [[texts.names.zoom, `${figure(wholeView(m, drawn.plot).mmPerPx / drawn.view.mmPerPx, 1)} ×`]] : []),
     ]);
   }
 

@@ -78,7 +78,7 @@ export function mount(root, ctx) {
     const order = box("ol", "jobs");
     order.append(...wait.map((one, n) => item(one, n, wait.length)));
     list.replaceChildren(
-      ...(running.length ? [card("queue-running", t.atMachine, box("ol", "jobs", ...running.map((one) => item(one))))] : []),
+      ...(running.length ? [card("queue-running", t.atMachine, box("ol", "jobs", ...running.map((one) => item(one))))] : ownJob()),
       card("queue-waiting", t.waiting(wait.length), ...(wait.length ? [made("p", known ? t.total(wait.length, duration(total)) : t.totalUnknown(wait.length), "note"), rule, order].filter(Boolean) : [made("p", t.none), made("p", t.addWith, "note")])),
       endedCard(),
     );
@@ -135,6 +135,13 @@ export function mount(root, ctx) {
     const why = key === "held" && isHeld() ? t.heldWhy(live()?.reason) : one.problem ? `${t.fileProblem} ${one.problem}` : one.shop && one.state === "waiting" ? t.shop : "";
     if (why) line.append(made("p", why, key === "held" || one.problem ? "job-why attend" : "job-why"));
     return line;
+  }
+  // a job of the cell's own file, which is in no queue
+  function ownJob() {
+    const now = live();
+    if (!up() || !now?.job || ["idle", "finished"].includes(now.state)) return [];
+    const held = now.state === "held", line = box("li", "job", box("span", "job-names", made("strong", now.part), made("span", now.job, "note")), chip(held ? "held" : "under way", held ? t.held : t.polishing), made("p", held ? t.heldWhy(now.reason) : t.ownJob, held ? "job-why attend" : "job-why"));
+    return [card("queue-running", t.atMachine, box("ol", "jobs", line))];
   }
   function endedCard() {
     if (!queue.ended.length) return "";
