@@ -8,14 +8,22 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+import threading
 import time
+import urllib.request
 from pathlib import Path
 
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
+from polishd.config.cell import load_config
 from polishd.web.http.static_files import static_files
+from polishd.web.http.users import Role, UserFile, users_path
 from tests.screenshots.camera import OPTIONS, aim
-from tests.screenshots.frozen_cell import frozen_server
+from tests.screenshots.frozen_cell import frozen_server, live
 from tests.screenshots.scenes import DASHBOARD, SCENES
 from tests.system.browser import browsing
+from tests.system.cell_rig import with_keys
+from tests.system.test_web import FREE, web_process
+from tests.unit.web.served import answering
 
 WATCHERS, LASTS_S, OVERVIEW_S = 50, 30.0, 5.0
 PAINT = """JSON.stringify({
@@ -62,7 +70,7 @@ def _cpu_s(pid: int) -> float:
 def _watch(url: str, token: str, ended: threading.Event, heard: list[int], number: int) -> None:
     """Read the stream as a page does, and the overview every five seconds."""
     headers = {"Authorization": f"Bearer {token}"}
-    with urllib.request.urlopen(urllib.request.Request(f"{url}api/events", headers=headers)) as stream:
+    with urllib.request.urlopen(urllib.request.Request(f"{url}api/events", headers=headers)) as stream:  # noqa: S310 - ours
         next_s = time.monotonic() + OVERVIEW_S * number / WATCHERS
         while not ended.is_set() and (line := stream.readline()):
             heard[number] += line.startswith(b"event: state")

@@ -95,6 +95,8 @@ class Shot:
     @property
     def ready(self) -> str:
         """What holds on the page once it is complete."""
+        if self.view.startswith(("maps", "cell")):
+            return f"document.querySelector('.m-view')?.dataset.ready?.endsWith('{'flat' if self.view == 'maps' else 'cell'}')"
         return DASHBOARD if self.view == "dashboard" else "document.querySelectorAll('#view *').length > 10"
 
 

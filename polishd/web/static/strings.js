@@ -105,7 +105,7 @@ export const texts = {
 
   // maps
   maps: {
-    look: "View", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colours: "Colours", ends: "Colours end at", outside: "Outside the clear aperture",
+    look: "View", show: "Show", flat: "2-D map", solid: "3-D surface", pass: "Measurement", colors: "Colors", ends: "Colors end at", outside: "Outside the clear aperture",
     kinds: { measured: "Measured", predicted: "Predicted", residual: "Residual", removal: "Removal", dwell: "Dwell", gamma: "Gamma" },
     about: {
       measured: "Heights that the instrument measured, mean removed.", predicted: "Surface that the plan of this pass expects.",
@@ -114,7 +114,7 @@ export const texts = {
     },
     tables: { auto: "As in the reports", diverging: "Blue, white, red", cividis: "Cividis", viridis: "Viridis", gray: "Gray" },
     scales: { auto: "99.5 % of the values", full: "Least and greatest", first: "As the first measurement" },
-    hide: { dim: "Pale", hide: "Hidden", show: "Full colour" },
+    hide: { dim: "Pale", hide: "Hidden", show: "Full color" },
     path: "Path of the tool", smooth: "Interpolate between samples", outline: "Edge of the clear aperture",
     zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", figures: "In the clear aperture",
     names: { pv: "PV", rms: "RMS", low: "Least", high: "Greatest", mean: "Mean", pitch: "Sample pitch", size: "Samples", zoom: "Zoom" },
@@ -133,8 +133,8 @@ export const texts = {
   // cell
   cellView: {
     canvas: "Robot, part and path. Arrow keys turn the view, with Shift they shift it. Plus, minus: zoom. 0: from the start.",
-    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", focus: "Centre", focuses: { cell: "Whole cell", part: "Part" }, pass: "Pass", follow: "Follow the tool", point: "Point of the path",
-    colour: "Dwell per point", block: "Block", tip: "Tip, base frame", shown: "Shown", state: "Contact", robot: "Robot",
+    views: { free: "Free", top: "Top", side: "Side", front: "Front" }, view: "View", focus: "Center", focuses: { cell: "Whole cell", part: "Part" }, pass: "Pass", follow: "Follow the tool", point: "Point of the path",
+    color: "Dwell per point", block: "Block", tip: "Tip, base frame", shown: "Shown", state: "Contact", robot: "Robot",
     robots: { hybrid: "hybrid, 3 UPS and UP with C/A wrist", serial: "six-axis arm", measured: "measured compliance, no kinematics" },
     on: "tool on the part", off: "tool off the part", notRunning: "no pass runs", noPlan: "There is no plan yet.",
     nominal: "Stick figure from the cell's kinematics, at nominal poses: the calibrated seat of the part and the tool's deflection are not in it.",

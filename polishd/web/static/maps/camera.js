@@ -85,12 +85,12 @@ export class Camera {
     return [[c, s, 0], [-s * se, c * se, ce], [-s * ce, c * ce, -se]];
   }
 
-  // px per unit of the scene at its centre, and the distance of the eye in units.
+  // px per unit of the scene at its center, and the distance of the eye in units.
   lens(width, height) {
     return { k: (this.scale * Math.min(width, height) * this.zoom) / this.radius, far: 5 * this.radius };
   }
 
-  // A function from a point of the scene to [px, py, distance behind the centre].
+  // A function from a point of the scene to [px, py, distance behind the center].
   projector(width, height) {
     const [right, up, away] = this.axes, { k, far } = this.lens(width, height), c = this.center;
     return (p) => {

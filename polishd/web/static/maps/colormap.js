@@ -1,4 +1,4 @@
-// Colours of maps and ticks of scales. The tables are samples of matplotlib's, as in the reports: a test compares them.
+// Colors of maps and ticks of scales. The tables are samples of matplotlib's, as in the reports: a test compares them.
 const TABLES = {
   diverging: "0530610e41791752901f63a82a71b23480b93f8ec0529dc86bacd184bcd99bc9e0aed3e6c2ddecd4e6f1e0ecf3ecf2f5f7f6f6" +
     "f9eee7fbe5d8fddcc9fbccb4f8bb9ef5aa89ee9677e48066db6b55d05548c53e3dba2832ab162a930e267c072267001f",
@@ -16,18 +16,18 @@ export const NAMES = Object.keys(TABLES);
 export const tableOf = (signed) => (signed ? "diverging" : "cividis");
 
 // [r, g, b] of 0 to 255 at t of 0 to 1.
-export function colourAt(name, t) {
+export function colorAt(name, t) {
   const table = TABLES[name], last = table.length / 6 - 1;
   const at = Math.min(Math.max(t, 0), 1) * last, k = Math.min(Math.floor(at), last - 1);
   const value = (index, channel) => parseInt(table.slice(6 * index + 2 * channel, 6 * index + 2 * channel + 2), 16);
   return [0, 1, 2].map((c) => value(k, c) * (k + 1 - at) + value(k + 1, c) * (at - k));
 }
 
-export const css = (name, t) => `rgb(${colourAt(name, t).map(Math.round).join(" ")})`;
+export const css = (name, t) => `rgb(${colorAt(name, t).map(Math.round).join(" ")})`;
 
-// 1024 colours as bytes r, g, b, r, g, b, ...
+// 1024 colors as bytes r, g, b, r, g, b, ...
 export function bytesOf(name) {
-  if (!CACHE.has(name)) CACHE.set(name, Uint8ClampedArray.from(Array.from({ length: 1024 }, (_, k) => colourAt(name, k / 1023)).flat()));
+  if (!CACHE.has(name)) CACHE.set(name, Uint8ClampedArray.from(Array.from({ length: 1024 }, (_, k) => colorAt(name, k / 1023)).flat()));
   return CACHE.get(name);
 }
 

@@ -1,4 +1,4 @@
-// A map on a canvas: values between the samples, colour bar, axes in mm, edge of the clear aperture, path and tool.
+// A map on a canvas: values between the samples, color bar, axes in mm, edge of the clear aperture, path and tool.
 import { bytesOf, css, figure, tableOf, ticks } from "./colormap.js";
 import { contextOf, theme } from "./theme.js";
 
@@ -126,9 +126,9 @@ export function wholeView(map, plot) {
 /* Draws a map and returns its geometry: the plot's rectangle, toPx(x, y), toMm(px, py), the view and the scale.
  *
  * data: an answer of /api/jobs/J/cycles/C/map/KIND. options, all optional:
- *   compact    no axes and no colour bar: a thumbnail
- *   colours    name of a table of colormap.js; else by the kind of the map
- *   scale      [low, high] where the colours end; else the answer's
+ *   compact    no axes and no color bar: a thumbnail
+ *   colors    name of a table of colormap.js; else by the kind of the map
+ *   scale      [low, high] where the colors end; else the answer's
  *   smooth     false: the samples themselves
  *   outside    "dim" (default), "hide" or "show" what lies outside the clear aperture
  *   outline    false: no edge of the clear aperture
@@ -140,12 +140,12 @@ export function wholeView(map, plot) {
  */
 export function drawHeightMap(canvas, data, options = {}) {
   const map = decodeMap(data), ink = theme(canvas), { g, width, height, dpr } = contextOf(canvas);
-  const { compact = false, colours = tableOf(map.signed), scale = map.scale, outside = "dim" } = options;
+  const { compact = false, colors = tableOf(map.signed), scale = map.scale, outside = "dim" } = options;
   const plot = compact ? { x: 0, y: 0, w: width, h: height } : { x: LEFT, y: TOP, w: Math.max(20, width - LEFT - BAR_SPACE), h: Math.max(20, height - TOP - BOTTOM) };
   const view = options.view ?? wholeView(map, plot);
   const toPx = (x, y) => [plot.x + plot.w / 2 + (x - view.x) / view.mmPerPx, plot.y + plot.h / 2 - (y - view.y) / view.mmPerPx];
   const toMm = (px, py) => [view.x + (px - plot.x - plot.w / 2) * view.mmPerPx, view.y - (py - plot.y - plot.h / 2) * view.mmPerPx];
-  const picture = painted(canvas, map, { colours, scale, smooth: options.smooth !== false, view, plot, dpr });
+  const picture = painted(canvas, map, { colors, scale, smooth: options.smooth !== false, view, plot, dpr });
   g.save();
   g.beginPath();
   g.rect(plot.x, plot.y, plot.w, plot.h);
@@ -165,23 +165,23 @@ export function drawHeightMap(canvas, data, options = {}) {
   g.restore();
   if (!compact) {
     axes(g, plot, toMm, ink);
-    colourBar(g, { x: plot.x + plot.w + 14, y: plot.y, w: BAR, h: plot.h }, map, colours, scale, ink);
+    colorBar(g, { x: plot.x + plot.w + 14, y: plot.y, w: BAR, h: plot.h }, map, colors, scale, ink);
   }
   if (options.label) canvas.setAttribute("aria-label", options.label);
-  return { plot, view, scale, colours, toPx, toMm, map };
+  return { plot, view, scale, colors, toPx, toMm, map };
 }
 
 // The picture of the values alone, kept until something of it changes: a moved cursor paints nothing anew.
 function painted(canvas, map, how) {
   const { view, plot, dpr, scale } = how;
-  const key = JSON.stringify([how.colours, scale, how.smooth, view, plot, dpr]);
+  const key = JSON.stringify([how.colors, scale, how.smooth, view, plot, dpr]);
   const kept = PAINTED.get(canvas);
   if (kept?.map === map && kept.key === key) return kept.picture;
   const picture = kept?.picture ?? document.createElement("canvas");
   const w = Math.max(1, Math.round(plot.w * dpr)), h = Math.max(1, Math.round(plot.h * dpr));
   picture.width = w;
   picture.height = h;
-  const image = new ImageData(w, h), out = image.data, table = bytesOf(how.colours);
+  const image = new ImageData(w, h), out = image.data, table = bytesOf(how.colors);
   const { nx, ny, filled, known } = map, per = (view.mmPerPx * (plot.w / w)) / map.pitch_mm;
   const left = columnOf(map, view.x) - (w / 2 - 0.5) * per, top = rowOf(map, view.y) - (h / 2 - 0.5) * per;
   const span = 1023 / (scale[1] - scale[0] || 1);
@@ -224,8 +224,8 @@ function strokePath(g, path, toPx, mmPerPx) {
   for (let k = 0; k < path.x_mm.length; k++) g.lineTo(...toPx(path.x_mm[k], path.y_mm[k]));
   g.lineJoin = "round";
   const near = mmPerPx < 0.12;
-  for (const [colour, wide] of near ? [["rgb(255 255 255 / .6)", 2], ["rgb(0 0 0 / .75)", 0.8]] : [["rgb(0 0 0 / .45)", 0.5]]) {
-    g.strokeStyle = colour;
+  for (const [color, wide] of near ? [["rgb(255 255 255 / .6)", 2], ["rgb(0 0 0 / .75)", 0.8]] : [["rgb(0 0 0 / .45)", 0.5]]) {
+    g.strokeStyle = color;
     g.lineWidth = wide;
     g.stroke();
   }
@@ -233,8 +233,8 @@ function strokePath(g, path, toPx, mmPerPx) {
 
 function crosshair(g, plot, [x, y]) {
   const gap = 7, lines = [[plot.x, y, x - gap, y], [x + gap, y, plot.x + plot.w, y], [x, plot.y, x, y - gap], [x, y + gap, x, plot.y + plot.h]];
-  for (const [colour, wide] of [["rgb(255 255 255 / .75)", 3], ["#111", 1]]) {
-    g.strokeStyle = colour;
+  for (const [color, wide] of [["rgb(255 255 255 / .75)", 3], ["#111", 1]]) {
+    g.strokeStyle = color;
     g.lineWidth = wide;
     g.beginPath();
     for (const [ax, ay, bx, by] of lines) { g.moveTo(ax, ay); g.lineTo(bx, by); }
@@ -246,8 +246,8 @@ function crosshair(g, plot, [x, y]) {
 }
 
 export function ring(g, [x, y], radius = 9) {
-  for (const [colour, wide] of [["#fff", 5], ["#111", 2.5]]) {
-    g.strokeStyle = colour;
+  for (const [color, wide] of [["#fff", 5], ["#111", 2.5]]) {
+    g.strokeStyle = color;
     g.lineWidth = wide;
     g.beginPath();
     g.arc(x, y, radius, 0, 7);
@@ -288,16 +288,16 @@ function axes(g, plot, toMm, ink) {
   g.restore();
 }
 
-// The colour bar with its ticks; an end is pointed where values lie beyond it, as in the reports.
-export function colourBar(g, box, map, colours, scale, ink) {
+// The color bar with its ticks; an end is pointed where values lie beyond it, as in the reports.
+export function colorBar(g, box, map, colors, scale, ink) {
   const tip = 9, over = map.high > scale[1] * (1 + 1e-9) + 1e-12, under = map.low < scale[0] * (1 - Math.sign(scale[0]) * 1e-9) - 1e-12;
   const top = box.y + tip, h = box.h - 2 * tip;
   const shade = g.createLinearGradient(0, top + h, 0, top);
-  for (let k = 0; k <= 32; k++) shade.addColorStop(k / 32, css(colours, k / 32));
+  for (let k = 0; k <= 32; k++) shade.addColorStop(k / 32, css(colors, k / 32));
   g.fillStyle = shade;
   g.fillRect(box.x, top, box.w, h);
   const point = (y, away, t) => {
-    g.fillStyle = css(colours, t);
+    g.fillStyle = css(colors, t);
     g.beginPath();
     g.moveTo(box.x, y); g.lineTo(box.x + box.w, y); g.lineTo(box.x + box.w / 2, away);
     g.fill();

@@ -1,4 +1,4 @@
-// A cell on a canvas: floor, part, path coloured by dwell, robot as a stick figure, and the tool.
+// A cell on a canvas: floor, part, path colored by dwell, robot as a stick figure, and the tool.
 import { css, figure, ticks } from "./colormap.js";
 import { ring } from "./height_map.js";
 import { contextOf, theme } from "./theme.js";
@@ -93,7 +93,7 @@ function part(g, project, { rim_mm: rim, normal }, ink) {
   g.stroke();
 }
 
-// Lines of one colour are one stroke: a few strokes for some thousand points.
+// Lines of one color are one stroke: a few strokes for some thousand points.
 function path(g, project, { mm, dwell_s: dwell }, [low, high], width) {
   const at = mm.map(project), shade = dwell.map((s) => Math.min(SHADES - 1, Math.max(0, Math.floor(((s - low) / (high - low || 1)) * SHADES))));
   g.lineWidth = width < 500 ? 1.2 : 1.6;
@@ -109,8 +109,8 @@ function robot(g, project, hall, cell, joints, ink) {
   const places = joints.map(project);
   const links = cell.links.map(([kind, a, b]) => ({ kind, a: places[a], b: places[b], deep: (places[a][2] + places[b][2]) / 2 })).sort((p, q) => q.deep - p.deep);
   for (const { kind, a, b } of links) {
-    for (const [colour, more] of [[ink.card, 3], [kind === "tool" ? ink.accent : kind === "limb" ? ink.text : ink.muted, 0]]) {
-      g.strokeStyle = colour;
+    for (const [color, more] of [[ink.card, 3], [kind === "tool" ? ink.accent : kind === "limb" ? ink.text : ink.muted, 0]]) {
+      g.strokeStyle = color;
       g.lineWidth = WIDE[kind] + more;
       g.beginPath();
       g.moveTo(a[0], a[1]);
@@ -174,7 +174,7 @@ export function drawInset(canvas, { cell, hall, k, touching, limits }) {
   const right = [1 - n[0] * n[0], -n[0] * n[1], -n[0] * n[2]].map((value, _, v) => value / length(v));
   const up = [n[1] * right[2] - n[2] * right[1], n[2] * right[0] - n[0] * right[2], n[0] * right[1] - n[1] * right[0]];
   const plane = (p) => { const q = hall(p).map((value, axis) => value - c[axis]); return [right, up].map((row) => row[0] * q[0] + row[1] * q[1] + row[2] * q[2]); };
-  const spread = cell.path.mm.reduce((most, p) => Math.max(most, ...plane(p).map(Math.abs)), 1), scale = (0.46 * side) / spread, [x0, y0] = [width - side / 2 - 2, side / 2 + 2];
+  const spread = [...cell.path.mm, ...cell.part.rim_mm].reduce((most, p) => Math.max(most, ...plane(p).map(Math.abs)), 1), scale = (0.46 * side) / spread, [x0, y0] = [width - side / 2 - 2, side / 2 + 2];
   const project = (p) => { const [x, y] = plane(p); return [x0 + x * scale, y0 - y * scale]; };
   g.fillStyle = ink.card;
   g.strokeStyle = ink.line;
@@ -189,7 +189,7 @@ export function drawInset(canvas, { cell, hall, k, touching, limits }) {
   ring(g, project(cell.path.mm[k]), touching ? 7 : 5);
 }
 
-// The colours of the path as a bar that lies.
+// The colors of the path as a bar that lies.
 export function drawLegend(canvas, [low, high], unit) {
   const ink = theme(canvas), { g, width } = contextOf(canvas), shade = g.createLinearGradient(8, 0, width - 8, 0);
   for (let n = 0; n <= 16; n++) shade.addColorStop(n / 16, css(PATH, n / 16));

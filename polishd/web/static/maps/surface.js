@@ -1,7 +1,7 @@
-/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colours. A scene library adds
+/* A map as a lit surface, in plain WebGL 2: one mesh, one light, one table of colors. A scene library adds
  * several hundred kB and would still need the axes, the walls and the keys that are written here. */
 import { bytesOf, figure, ticks } from "./colormap.js";
-import { colourBar } from "./height_map.js";
+import { colorBar } from "./height_map.js";
 import { contextOf, rgbOf, theme } from "./theme.js";
 
 const MOST = 256, RELIEF = 0.24;
@@ -23,16 +23,16 @@ const FRAGMENT = `#version 300 es
 precision highp float;
 in float shade; in vec3 normal; in float side;
 uniform sampler2D table; uniform vec3 body;
-out vec4 colour;
+out vec4 color;
 void main() {
   vec3 n = normalize(normal), sun = normalize(vec3(-0.5, 0.75, -0.65)), half_way = normalize(sun + vec3(0.0, 0.0, -1.0));
   float light = 0.5 + 0.55 * max(dot(n, sun), 0.0), gloss = 0.16 * pow(max(dot(n, half_way), 0.0), 24.0);
   vec3 paint = texture(table, vec2(clamp(shade, 0.001, 0.999), 0.5)).rgb;
-  colour = side > 0.5 ? vec4(body * 0.92, 1.0) : vec4(paint * light + gloss, 1.0);
+  color = side > 0.5 ? vec4(body * 0.92, 1.0) : vec4(paint * light + gloss, 1.0);
 }`;
 
 export class Surface {
-  // Throws where the browser has no WebGL 2. ``labels``: a canvas above the other one, for axes and colour bar.
+  // Throws where the browser has no WebGL 2. ``labels``: a canvas above the other one, for axes and color bar.
   constructor(canvas, labels, camera) {
     this.canvas = canvas;
     this.labels = labels;
@@ -45,9 +45,9 @@ export class Surface {
   }
 
   // The mesh of a decoded map: of its clear aperture, or of all data.
-  set(map, { whole = false, colours, scale }) {
+  set(map, { whole = false, colors, scale }) {
     const { gl } = this, mesh = meshOf(map, whole);
-    Object.assign(this, { map, colours, scale, box: mesh.box, count: mesh.indices.length });
+    Object.assign(this, { map, colors, scale, box: mesh.box, count: mesh.indices.length });
     for (const [name, size, data] of [["place", 2, mesh.place], ["value", 1, mesh.value], ["slope", 2, mesh.slope], ["wall", 1, mesh.wall]]) {
       const at = gl.getAttribLocation(this.program, name);
       gl.bindBuffer(gl.ARRAY_BUFFER, (this[name] ??= gl.createBuffer()));
@@ -59,7 +59,7 @@ export class Surface {
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.indices, gl.STATIC_DRAW);
     gl.bindTexture(gl.TEXTURE_2D, (this.texture ??= gl.createTexture()));
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 1024, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, new Uint8Array(bytesOf(colours)));
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, 1024, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, new Uint8Array(bytesOf(colors)));
     for (const [name, value] of [["TEXTURE_MIN_FILTER", "LINEAR"], ["TEXTURE_MAG_FILTER", "LINEAR"], ["TEXTURE_WRAP_S", "CLAMP_TO_EDGE"], ["TEXTURE_WRAP_T", "CLAMP_TO_EDGE"]]) {
       gl.texParameteri(gl.TEXTURE_2D, gl[name], gl[value]);
     }
@@ -94,7 +94,7 @@ export class Surface {
     this.label(ink, camera.projector(shown, height), bottom, (value) => (value - middle) * rise);
   }
 
-  // Axes along the edges of the box that do not hide the surface, and the colour bar.
+  // Axes along the edges of the box that do not hide the surface, and the color bar.
   label(ink, project, bottom, rise) {
     const { g, width, height } = contextOf(this.labels), { box, map } = this, [hx, hy] = box.half, middle = project([0, 0, bottom]);
     const away = this.camera.axes[2], sx = away[0] > 0 ? -1 : 1, sy = away[1] > 0 ? -1 : 1;
@@ -131,7 +131,7 @@ export class Surface {
         text(figure(value, digits), at, [at[0] + 9, at[1]]);
       }
     }
-    colourBar(g, { x: width - 74, y: 12, w: 16, h: height - 44 }, map, this.colours, this.scale, ink);
+    colorBar(g, { x: width - 74, y: 12, w: 16, h: height - 44 }, map, this.colors, this.scale, ink);
   }
 
   end() {

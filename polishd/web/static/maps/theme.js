@@ -1,4 +1,4 @@
-// Colours of the page's theme on canvases, canvases of the screen's resolution, and what both have to be drawn anew for.
+// Colors of the page's theme on canvases, canvases of the screen's resolution, and what both have to be drawn anew for.
 const FALLBACK = {
   light: { text: "#1b2026", muted: "#5b636b", line: "#c9d0d6", card: "#ffffff", accent: "#005a9c", focus: "#005a9c", alarm: "#b00020", warn: "#8a4b00", ok: "#006d4e" },
   dark: { text: "#eef1f3", muted: "#a3adb5", line: "#3a434a", card: "#1d2327", accent: "#7cc4ff", focus: "#7cc4ff", alarm: "#ff8a8a", warn: "#ffb454", ok: "#4fd1a5" },
@@ -10,7 +10,7 @@ export function theme(element) {
   return Object.fromEntries(Object.entries(defaults).map(([name, value]) => [name, style.getPropertyValue(`--${name}`).trim() || value]));
 }
 
-// Calls back when an element changes its size, or the page its colours; returns what ends it.
+// Calls back when an element changes its size, or the page its colors; returns what ends it.
 export function onChange(elements, callback) {
   let waits = 0;
   const soon = () => { cancelAnimationFrame(waits); waits = requestAnimationFrame(callback); };
@@ -33,16 +33,16 @@ export function contextOf(canvas) {
   return { g, width, height, dpr };
 }
 
-// A CSS colour as [r, g, b] of 0 to 1.
+// A CSS color as [r, g, b] of 0 to 1.
 const PARSED = new Map();
-export function rgbOf(colour) {
-  if (!PARSED.has(colour)) {
+export function rgbOf(color) {
+  if (!PARSED.has(color)) {
     const g = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
-    g.fillStyle = colour;
+    g.fillStyle = color;
     g.fillRect(0, 0, 1, 1);
-    PARSED.set(colour, [...g.getImageData(0, 0, 1, 1).data.slice(0, 3)].map((value) => value / 255));
+    PARSED.set(color, [...g.getImageData(0, 0, 1, 1).data.slice(0, 3)].map((value) => value / 255));
   }
-  return PARSED.get(colour);
+  return PARSED.get(color);
 }
 
 // Calls once before the next frame, however often it is called.

@@ -1,4 +1,4 @@
-// The cell: the robot as a stick figure, the part, the path coloured by dwell, and where the tool is.
+// The cell: the robot as a stick figure, the part, the path colored by dwell, and where the tool is.
 import { Camera } from "../maps/camera.js";
 import { figure } from "../maps/colormap.js";
 import { box, made } from "../dom.js";
@@ -16,7 +16,7 @@ export function mount(root, ctx) {
 
   // elements
   const view = box("div", "m-view m-cell"), main = box("div", "m-main"), side = box("div", "m-side"), head = box("div", "m-head"), stage = box("div", "m-stage");
-  const message = box("p", "m-message"), problem = box("p", "m-note m-warn"), note = box("p", "m-note"), picture = canvas(texts.canvas), bar = canvas(texts.colour);
+  const message = box("p", "m-message"), problem = box("p", "m-note m-warn"), note = box("p", "m-note"), picture = canvas(texts.canvas), bar = canvas(texts.color);
   picture.tabIndex = 0;
   picture.setAttribute("role", "application");
   message.setAttribute("role", "status");
@@ -29,7 +29,7 @@ export function mount(root, ctx) {
   slider.addEventListener("input", () => { now.follow = false; follow.querySelector("input").checked = false; now.k = Number(slider.value); show(); });
   bar.style.height = "38px";
   bar.style.width = "100%";
-  legend.append(made("h3", texts.colour), bar);
+  legend.append(made("h2", texts.color), bar);
   card.append(cycles, follow, point);
   stage.append(picture);
   head.append(views, choice(texts.focus, texts.focuses, now.focus, (focus) => { now.focus = focus; aim(); }));
@@ -99,6 +99,7 @@ export function mount(root, ctx) {
     drawCell(picture, { ...known, camera, joints: jointsAt(cell.poses, block), k: now.k, touching: Boolean(live?.touching) });
     if (now.focus === "cell") drawInset(picture, { ...known, k: now.k, touching: Boolean(live?.touching) });
     drawLegend(bar, known.limits, "s");
+    view.dataset.ready = "cell"; // for tests and screenshots
     numbers.show([
       [texts.robot, texts.robots[cell.robot] ?? cell.robot], [texts.block, String(block)], [texts.tip, `${tip.map((value) => figure(value, 0)).join(", ")} mm`],
       [texts.state, runs ? (runs.touching ? texts.on : texts.off) : texts.notRunning],

@@ -14,7 +14,7 @@ const DIGITS = { height_nm: 2, dwell_s: 4, gamma: 4 };
 export const styles = ["/maps/maps.css"];
 
 // What was chosen, also after another tab was shown.
-const kept = { kind: "measured", cycle: null, look: "flat", colours: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
+const kept = { kind: "measured", cycle: null, look: "flat", colors: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
 
 // What a link to this view chooses: #maps?kind=residual&cycle=2&look=solid
 function asked(args, texts) {
@@ -55,7 +55,7 @@ export function mount(root, ctx) {
   const flatOnly = [select(texts.outside, texts.hide, now.outside, redraw("outside")), toggle(texts.outline, now.outline, redraw("outline")),
     toggle(texts.path, now.path, async (on) => { now.path = on; await loadPath(); show(); }), toggle(texts.smooth, now.smooth, redraw("smooth"))];
   card.append(cycles, relief);
-  options.append(select(texts.colours, texts.tables, now.colours, redraw("colours")), select(texts.ends, texts.scales, now.ends, redraw("ends")), ...flatOnly);
+  options.append(select(texts.colors, texts.tables, now.colors, redraw("colors")), select(texts.ends, texts.scales, now.ends, redraw("ends")), ...flatOnly);
   head.append(kinds, looks, said);
   main.append(head, message, map, upright, flat, corner, stage, note);
   side.append(card, numbers, options, spoken);
@@ -78,6 +78,7 @@ export function mount(root, ctx) {
     const other = known.map && (known.map.nx !== found.nx || known.map.pitch_mm !== found.pitch_mm);
     known.key = key;
     known.map = found.status === 200 ? decodeMap(found) : null;
+    delete view.dataset.ready;
     known.why = found.status === 200 ? "" : `${texts.none}: ${found.error}. ${now.kind === "measured" ? "" : texts.oldPlan}`;
     if (other) now.view = null;
     arrange();
@@ -94,7 +95,7 @@ export function mount(root, ctx) {
     if (now.ends === "full") return signed ? [-far, far] : [low, high > low ? high : low + 1e-9];
     return now.ends === "first" && signed && known.first?.scale ? known.first.scale : known.map.scale;
   };
-  const colours = () => (now.colours === "auto" ? tableOf(known.map.signed) : now.colours);
+  const colors = () => (now.colors === "auto" ? tableOf(known.map.signed) : now.colors);
   const digits = () => DIGITS[known.map.key] ?? 2;
   const unit = () => (known.map.unit ? ` ${known.map.unit}` : "");
   const toolNow = () => {
@@ -124,6 +125,7 @@ export function mount(root, ctx) {
   function show() {
     if (ended || !known.map) return;
     if (now.look === "solid") showSolid(); else showFlat();
+    view.dataset.ready = `${now.kind} ${now.look}`; // for tests and screenshots
     const m = known.map, row = (ctx.cycles() ?? []).find((one) => one.cycle === now.cycle), measured = now.kind === "measured" && row?.measured;
     const value = (v) => `${figure(v, digits())}${unit()}`;
     numbers.show([
@@ -135,7 +137,7 @@ export function mount(root, ctx) {
   }
 
   function showFlat() {
-    const how = { colours: colours(), scale: scale(), outside: now.outside, smooth: now.smooth, outline: now.outline, view: now.view, cursor: now.cursor,
+    const how = { colors: colors(), scale: scale(), outside: now.outside, smooth: now.smooth, outline: now.outline, view: now.view, cursor: now.cursor,
       path: now.path ? known.path?.plan : null, tool: toolNow() };
     drawn = drawHeightMap(map, known.map, how);
     const { plot, toMm } = drawn, [x, y] = now.cursor, [left, top] = toMm(plot.x, plot.y), [right, bottom] = toMm(plot.x + plot.w, plot.y + plot.h);
@@ -163,8 +165,8 @@ export function mount(root, ctx) {
   function showSolid() {
     try {
       surface ??= new Surface(mesh, labels, camera);
-      const key = [now.colours, now.ends].join();
-      if (known.meshed !== key) { surface.set(known.map, { colours: colours(), scale: scale() }); known.meshed = key; }
+      const key = [now.colors, now.ends].join();
+      if (known.meshed !== key) { surface.set(known.map, { colors: colors(), scale: scale() }); known.meshed = key; }
       camera.radius = stage.clientWidth < 520 ? 1.75 : 1.4;
       surface.draw(now.relief);
     } catch (error) {
