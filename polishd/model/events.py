@@ -359,7 +359,8 @@ class PlanAwaitingApproval(Event):
     dwell_s: Annotated[float, "planned time in contact, s"]
     figures: Annotated[
         Mapping[str, Any] | None,
-        "figures for the approval: RMS now, predicted, expected, ripple, removal, force, speed, `limits` and `notes`",
+        "figures for the approval: `before_rms_nm`, `expected_nm`, `ripple_rms_nm`, `removal_mean_nm`, `limits`, "
+        "`notes` and the other fields of `PlanFigures`",
     ] = None
     plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 

@@ -96,7 +96,7 @@ class Shot:
     def ready(self) -> str:
         """What holds on the page once it is complete."""
         if self.view.startswith(("maps", "cell")):
-            look = "solid" if "solid" in self.view else "flat" if self.view == "maps" else "cell"
+            look = "flat" if self.view == "maps" else "cell"
             return f"document.querySelector('.m-view')?.dataset.ready?.endsWith('{look}')"
         return DASHBOARD if self.view == "dashboard" else "document.querySelectorAll('#view *').length > 10"
 
@@ -109,7 +109,7 @@ VIEWS = (
     Shot("queue", "polishing", "queue"),
     Shot("history", "polishing", "history"),
     Shot("map-2d", "polishing", "maps"),
-    Shot("map-3d", "polishing", "maps?look=solid"),
+    Shot("map-3d", "polishing", "maps", solid),
     Shot("cell", "polishing", "cell"),
 )
 """In all sizes."""

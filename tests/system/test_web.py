@@ -46,16 +46,23 @@ LOOKS = 120
 
 
 @contextlib.contextmanager
-def web_of(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[str]:
-    """`polishd web` as a process; its address."""
+def web_process(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """`polishd web` as a process: its address, and itself."""
     command = [sys.executable, *program, str(files.cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            yield process.stdout.readline().strip()
+            yield process.stdout.readline().strip(), process
         finally:
             process.terminate()
             process.wait(SOON_S)
+
+
+@contextlib.contextmanager
+def web_of(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[str]:
+    """`polishd web` as a process; its address."""
+    with web_process(files, program) as (url, _):
+        yield url
 
 
 def signed_in(page: Page, url: str, token: str) -> None:

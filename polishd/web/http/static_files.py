@@ -46,9 +46,14 @@ class StaticFile:
             return Response(status_code=304, headers=headers)
         body = self.content
         if self._is_text and "gzip" in request.headers.get("accept-encoding", ""):
-            body = self.gzipped()
+            body = self.sent
             headers["content-encoding"] = "gzip"
         return Response(body, headers={**headers, "content-type": self._media_type})
+
+    @property
+    def sent(self) -> bytes:
+        """Its bytes as a browser gets them."""
+        return self.gzipped() if self._is_text else self.content
 
     def gzipped(self) -> bytes:
         """Return the compressed file; the same bytes at each call and in each process."""

@@ -52,6 +52,7 @@ const ctx = {
 
 // who is there
 function signedOut() {
+  $("loading").hidden = true;
   known.session = null;
   stream?.close();
   stream = null;
@@ -62,7 +63,7 @@ function signedOut() {
 }
 function signedIn(session) {
   known.session = session;
-  $("sign-in").hidden = true;
+  $("loading").hidden = $("sign-in").hidden = true;
   for (const id of ["main", "top", "tabs"]) $(id).hidden = false;
   put("who", `${session.name} (${session.role})`);
   watch();
@@ -150,6 +151,9 @@ function watch() {
   stream.addEventListener("error", () => { known.heard = -Infinity; show(); });
   stream.addEventListener("open", refresh);
 }
+// A page that is left, or kept by the browser for "back", must hold no connection: there are six for all of its pages.
+addEventListener("pagehide", () => stream?.close());
+addEventListener("pageshow", (event) => { if (event.persisted && known.session) watch(); });
 function link() {
   if (performance.now() - known.heard > LOST_MS) return "page";
   return known.state ? known.state.daemon : "page";

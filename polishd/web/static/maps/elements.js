@@ -49,7 +49,7 @@ export function sign(text, meaning, clicked) {
 // A list of names and values; show([[name, value], ...]).
 export function facts(title) {
   const section = box("section", "m-facts"), list = made("dl");
-  section.append(made("h3", title), list);
+  section.append(made("h2", title), list);
   section.show = (rows) => {
     if (list.children.length !== 2 * rows.length) list.replaceChildren(...rows.flatMap(() => [made("dt"), made("dd")]));
     rows.forEach(([name, value], k) => {

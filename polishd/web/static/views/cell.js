@@ -29,7 +29,7 @@ export function mount(root, ctx) {
   slider.addEventListener("input", () => { now.follow = false; follow.querySelector("input").checked = false; now.k = Number(slider.value); show(); });
   bar.style.height = "38px";
   bar.style.width = "100%";
-  legend.append(made("h3", texts.color), bar);
+  legend.append(made("h2", texts.color), bar);
   card.append(cycles, follow, point);
   stage.append(picture);
   head.append(views, choice(texts.focus, texts.focuses, now.focus, (focus) => { now.focus = focus; aim(); }));

@@ -6,7 +6,7 @@ import { drawHeightMap } from "/maps/height_map.js";
 import { guideOf, guidePanel } from "./guide.js";
 
 export const styles = ["/views/dashboard.css"];
-const OLD_S = 2.0, WINDOW_S = 600, READ_MS = 3000, MOST_EVENTS = 40;
+const OLD_S = 2.0, WINDOW_S = 600, READ_MS = 5000, MOST_EVENTS = 40;
 
 export function mount(root, ctx) {
   const t = ctx.texts.dashboard;
