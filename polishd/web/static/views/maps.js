@@ -37,10 +37,13 @@ export function mount(root, ctx) {
   const map = canvas("", "m-map"), flat = canvas("", "m-flat"), upright = canvas("", "m-upright"), corner = box("div", "m-corner"), stage = box("div", "m-stage");
   const mesh = canvas("", ""), labels = canvas("", "");
   message.setAttribute("role", "status");
+  said.setAttribute("aria-live", "off"); // it changes with each move; `spoken` follows once it rests
   spoken.setAttribute("aria-live", "polite");
   map.tabIndex = labels.tabIndex = 0;
   for (const one of [map, labels]) one.setAttribute("role", "application");
   mesh.setAttribute("aria-hidden", "true");
+  mesh.addEventListener("webglcontextlost", (event) => event.preventDefault()); // then it may be restored
+  mesh.addEventListener("webglcontextrestored", () => { surface = null; known.meshed = null; show(); });
   stage.append(mesh, labels);
   corner.append(sign("+", texts.zoomIn, () => zoom(1.5)), sign("\u2212", texts.zoomOut, () => zoom(1 / 1.5)), button(texts.whole, "m-button", whole));
   const kinds = choice(texts.show, texts.kinds, now.kind, (kind) => { now.kind = kind; load(); });
