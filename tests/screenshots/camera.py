@@ -15,7 +15,7 @@ SIZES = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (3
 """Width and height in CSS pixels, and colors."""
 PHONE_PX = 800
 """Widths below it are those of a phone."""
-COLORS = 128
+COLORS = 64
 """Of a picture: text stays sharp, and a picture has some 40 kB."""
 FREEZE = """
 {

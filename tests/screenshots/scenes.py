@@ -96,7 +96,8 @@ class Shot:
     def ready(self) -> str:
         """What holds on the page once it is complete."""
         if self.view.startswith(("maps", "cell")):
-            return f"document.querySelector('.m-view')?.dataset.ready?.endsWith('{'flat' if self.view == 'maps' else 'cell'}')"
+            look = "flat" if self.view == "maps" else "cell"
+            return f"document.querySelector('.m-view')?.dataset.ready?.endsWith('{look}')"
         return DASHBOARD if self.view == "dashboard" else "document.querySelectorAll('#view *').length > 10"
 
 

@@ -52,6 +52,7 @@ const ctx = {
 
 // who is there
 function signedOut() {
+  $("loading").hidden = true;
   known.session = null;
   stream?.close();
   stream = null;
@@ -62,7 +63,7 @@ function signedOut() {
 }
 function signedIn(session) {
   known.session = session;
-  $("sign-in").hidden = true;
+  $("loading").hidden = $("sign-in").hidden = true;
   for (const id of ["main", "top", "tabs"]) $(id).hidden = false;
   put("who", `${session.name} (${session.role})`);
   watch();

@@ -29,8 +29,8 @@ export function tableOf(heads, rows, kind = "") {
   const head = box("tr", ""), body = document.createElement("tbody");
   for (const one of heads) {
     const [text, style] = [one].flat();
-    const cell = made("th", text, style);
-    cell.scope = "col";
+    const cell = made(text ? "th" : "td", text, style);
+    if (text) cell.scope = "col";
     head.append(cell);
   }
   for (const row of rows) {
