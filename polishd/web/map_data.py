@@ -171,8 +171,9 @@ def _of_path(surface: Arrays, plan: Arrays, key: str, px: int) -> _Sampled:
     step = pitch * max(1.0, math.ceil((max(high - low) / pitch + 1) / px))
     x = np.arange(low[0], high[0] + step, step)
     y = np.arange(high[1], low[1] - step, -step)
-    column = np.rint((x - left) / pitch).astype(np.intp)
-    row = np.rint((top - y) / pitch).astype(np.intp)
+    # not rint: it takes every other half to the same even number
+    column = np.floor((x - left) / pitch + 0.5).astype(np.intp)
+    row = np.floor((top - y) / pitch + 0.5).astype(np.intp)
     on_grid = ((row >= 0) & (row < mask.shape[0]))[:, None] & ((column >= 0) & (column < mask.shape[1]))
     aperture = on_grid & mask[np.clip(row, 0, mask.shape[0] - 1)][:, np.clip(column, 0, mask.shape[1] - 1)]
     distance, nearest = scipy.spatial.cKDTree(points).query(np.stack(np.meshgrid(x, y), axis=2))
