@@ -164,7 +164,6 @@ def compare_paths(study: PathsStudy, read: ReadMap, report_progress: ProgressRep
         paths[name] = made.points[0]
         blocks = blocks_of(made.program, made.spots.depth_ratio, made.spots.factor)
         forecast = ripple_of(ActingSpots(made.path.spot, blocks), time_s, start.grid, start.metric_mask)
-        print(forecast)
         for case in cases:
             report_progress(f"{name}: {case.name}")
             removal = _true_removal(fine, made, time_s, case)
