@@ -52,7 +52,7 @@ BACKGROUND = 1.5
 """The background of a ring is the median within this factor of its frequency."""
 ROUNDS = 2
 """Solves with what acceleration delivers as the lower bound."""
-SHOWN_MM = 6.0
+SHOWN_MM = 14.0
 """Half the side of what the picture of the paths shows."""
 PLAIN = "as modeled"
 
@@ -164,7 +164,6 @@ def compare_paths(study: PathsStudy, read: ReadMap, report_progress: ProgressRep
         paths[name] = made.points[0]
         blocks = blocks_of(made.program, made.spots.depth_ratio, made.spots.factor)
         forecast = ripple_of(ActingSpots(made.path.spot, blocks), time_s, start.grid, start.metric_mask)
-        print(forecast)
         for case in cases:
             report_progress(f"{name}: {case.name}")
             removal = _true_removal(fine, made, time_s, case)
@@ -243,13 +242,15 @@ def _points(study: PathsStudy, family: PathFamilySection, phase: float, start: C
     aperture: Aperture = over_outline(study.outline())
     lengths = (family.pitch_mm, study.path.step_mm)
     beyond: dict[str, Any] = {
-        "optic": study.optic(), "overrun_mm": study.path.extension_mm, "landing_mm": LANDING_MM
-    }  # fmt: skip
-    lines = {"direction_deg": family.direction_deg}
+        "optic": study.optic(),
+        "overrun_mm": study.path.extension_mm,
+        "landing_mm": LANDING_MM,
+    }
+    lines = beyond | {"direction_deg": family.direction_deg}
     if family.shape == "raster" and family.cross_deg is not None:
-        return crossed_raster(aperture, *lengths, **beyond, **lines, phase=phase, cross_deg=family.cross_deg)
+        return crossed_raster(aperture, *lengths, **lines, phase=phase, cross_deg=family.cross_deg)
     if family.shape == "raster":
-        return raster(aperture, *lengths, **beyond, **lines, phase=phase)
+        return raster(aperture, *lengths, **lines, phase=phase)
     if family.shape in ("spiral", "concentric"):
         return spiral(aperture, *lengths, **beyond, phase=phase, rings=family.shape == "concentric")
     radius_mm = study.machine.max_feed_mm_s**2 / study.machine.accel_mm_s2
@@ -257,10 +258,10 @@ def _points(study: PathsStudy, family: PathFamilySection, phase: float, start: C
     low = float(np.nanquantile(wanted, study.solve.unreachable or 0.0))
     density = LineDensity.of_removal(start.grid, wanted - low, start.solve_mask)
     if family.shape == "adaptive":
-        return adaptive_raster(aperture, *lengths, density, **beyond, **lines, min_radius_mm=radius_mm)
+        return adaptive_raster(aperture, *lengths, density, **lines, min_radius_mm=radius_mm)
     follow = density if family.follows_removal else None
     return random_raster(
-        aperture, *lengths, **beyond, **lines, seed=family.seed + round(1000 * phase), min_radius_mm=radius_mm,
+        aperture, *lengths, **lines, seed=family.seed + round(1000 * phase), min_radius_mm=radius_mm,
         density=follow,
     )  # fmt: skip
 
