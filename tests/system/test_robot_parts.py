@@ -18,7 +18,7 @@ import pytest
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
 from polishd.config.cell import CellConfig, load_config
 from tests.patience import SOON_S
-from tests.system import abb_rig, fanuc_rmi_rig, plc_robot_rig, universal_robots_rig
+from tests.system import abb_rig, fanuc_rmi_rig, plc_robot_rig
 from tests.system.cell_rig import Daemon, Sections, events, summary, with_keys, with_part
 from tests.system.test_queue import polishd, queue
 
@@ -72,7 +72,6 @@ MAKERS: Mapping[str, Maker] = {
     "fanuc": Maker(
         fanuc, partial(plc_robot_rig.language_program, encoding="time"), speed=1.0, part_mm=12.0, tolerance_nm=30.0
     ),
-    "universal_robots": Maker(universal_robots_rig.write_files, universal_robots_rig.script),
     "yaskawa": language("inform", "dwell"),
     "staubli": language("val3", "feed"),
 }
@@ -111,6 +110,7 @@ def test_a_queue_touches_each_part_off_and_polishes_one_after_the_other(tmp_path
     assert [abs(json.loads(path.read_text())["seat"]["height_mm"]) < 0.1 for path in seats] == [True, True]
 
 
+@pytest.mark.parametrize("maker", ["fanuc", "yaskawa"], indirect=True)
 def test_a_first_touch_is_polished_as_it_was_planned(tmp_path: Path, maker: Maker) -> None:
     files = maker.write(tmp_path / "cell", tolerance_nm=3.0, max_cycles=2)
     with_part(files, WITNESS, maker.program)
