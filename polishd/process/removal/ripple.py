@@ -127,10 +127,9 @@ class RippleLine:
         return float(np.sinc(sample_mm / self.period_mm)) ** 2
 
 
-def _summed(one: RippleLine, other: RippleLine, name: str) -> float:
-    """Sum of both lines: lines out of place are so anew in each pass, and add in quadrature."""
-    pair: tuple[float, float] = getattr(one, name), getattr(other, name)
-    return float(np.hypot(*pair)) if one.cause == "line_error" else sum(pair)
+def _summed(before: float, later: float, cause: Cause) -> float:
+    """Sum over two passes: lines out of place are so anew in each pass, and add in quadrature."""
+    return float(np.hypot(before, later)) if cause == "line_error" else before + later
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,8 +173,12 @@ class Ripple:
                 lines.append(one)
                 continue
             own = lines[k]
-            names = ("amplitude_nm", "rms_nm", "rms_high_nm")
-            lines[k] = replace(own, **{name: _summed(own, one, name) for name in names})
+            lines[k] = replace(
+                own,
+                amplitude_nm=_summed(own.amplitude_nm, one.amplitude_nm, one.cause),
+                rms_nm=_summed(own.rms_nm, one.rms_nm, one.cause),
+                rms_high_nm=_summed(own.rms_high_nm, one.rms_high_nm, one.cause),
+            )
         return Ripple(tuple(lines), self.errors if self.lines else later.errors)
 
     @property
@@ -264,7 +267,7 @@ def _travel(blocks: PathBlocks) -> FloatArray:
     length = np.linalg.norm(own, axis=1)
     way = np.where((length > RESTING * np.linalg.norm(around, axis=1))[:, None], own, around)
     size = np.linalg.norm(way, axis=1, keepdims=True)
-    return np.divide(way, size, out=np.zeros_like(way), where=size > 0)
+    return np.asarray(np.divide(way, size, out=np.zeros_like(way), where=size > 0), dtype=np.float64)
 
 
 class _Frame(NamedTuple):
@@ -438,7 +441,8 @@ def _on_lattice(
     node = (kind[block] * nodes + row)[:, None, None] * nodes + column[:, None, None]
     node = node + np.arange(WIDTH)[:, None] * nodes + np.arange(WIDTH)
     count = int(kind.max(initial=0)) + 1
-    return np.bincount(node.ravel(), weight.ravel(), count * nodes * nodes).reshape(count, nodes, nodes)
+    total = np.bincount(node.ravel(), weight.ravel(), count * nodes * nodes)
+    return np.asarray(total, dtype=np.float64).reshape(count, nodes, nodes)
 
 
 def _kinds(blocks: PathBlocks) -> tuple[PathBlocks, Indices]:
