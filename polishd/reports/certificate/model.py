@@ -17,7 +17,13 @@ State = Literal["in tolerance", "not in tolerance", "not known"]
 class Facts(BaseModel):
     """A table of the certificate."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        populate_by_name=True,
+        json_schema_serialization_defaults_required=True,  # a value that older records lack is null, never left out
+    )
 
 
 class Issuer(Facts):

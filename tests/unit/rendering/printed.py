@@ -22,7 +22,7 @@ def require_legible(fig: Figure) -> None:
     assert found
     page = fig.bbox
     for _, text, box in found:
-        assert text.get_fontsize() >= LEAST_PT, text
+        assert float(text.get_fontsize()) >= LEAST_PT, text
         inside = box.x0 >= -1 and box.y0 >= -1 and box.x1 <= page.x1 + 1 and box.y1 <= page.y1 + 1
         assert inside, f"{text.get_text()!r} is cut at the edge"
     for (one, text, a), (other, covered, b) in combinations(found, 2):
