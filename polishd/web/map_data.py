@@ -18,7 +18,7 @@ from polishd.web.http.server import NoSuchResource
 
 Arrays = Mapping[str, NDArray[Any]]
 Encoding = Literal["rows", "float32"]
-ENCODINGS: Mapping[Encoding, int] = {"rows": 128, "float32": 512}
+ENCODINGS: Mapping[Encoding, int] = {"rows": 128, "float32": 768}
 """Greatest number of samples along a side: as numbers of the JSON, and as base64 of an array."""
 LEAST_PX = 8
 
@@ -101,7 +101,7 @@ def picture(request: MapRequest, surface: Arrays, plan: Arrays | None, after: Ar
             sampled = _of_path(surface, _given(plan), "time_s" if request.kind == "dwell" else "gamma", request.px)
         else:
             sampled = _of_grid(surface, _heights(request.kind, surface, plan, after))
-    except (KeyError, ValueError, IndexError) as error:
+    except (KeyError, ValueError, IndexError, TypeError) as error:
         raise ConfigError(f"the arrays of this map are not those of a pass ({error!r}); it cannot be shown") from error
     inside = sampled.values[sampled.aperture & np.isfinite(sampled.values)]
     limit = height_limit(inside)
@@ -218,4 +218,4 @@ def _encoded(sampled: _Sampled, key: str, encoding: Encoding) -> dict[str, Any]:
         return {**known, key: values, "aperture": mask}
     shown = np.where(sampled.aperture, sampled.values, np.nan)
     digits = 3 if key == "height_nm" else 5
-    return {**known, key: [[None if np.isnan(one) else round(float(one), digits) for one in row] for row in shown]}
+    return {**known, key: [[round(float(one), digits) if np.isfinite(one) else None for one in row] for row in shown]}

@@ -6,7 +6,7 @@ import { drawHeightMap } from "/maps/height_map.js";
 import { guideOf, guidePanel } from "./guide.js";
 
 export const styles = ["/views/dashboard.css"];
-const OLD_S = 2.0, WINDOW_S = 600, READ_MS = 5000, MOST_EVENTS = 40;
+const OLD_S = 2.0, WINDOW_S = 600, READ_MS = 5000, MOST_EVENTS = 40, MOST_SAMPLES = 1300;
 
 export function mount(root, ctx) {
   const t = ctx.texts.dashboard;
@@ -275,7 +275,7 @@ export function mount(root, ctx) {
     update(state) {
       const readings = state.live?.readings ?? {}, fresh = (one, key) => (one && one.age_s < OLD_S ? one[key] : null);
       samples[0].push(Date.now() / 1000); samples[1].push(fresh(readings.force, "force_n")); samples[2].push(fresh(readings.force, "setpoint_n")); samples[3].push(fresh(readings.speed, "rpm"));
-      while (samples[0].length && samples[0][0] < Date.now() / 1000 - WINDOW_S) for (const one of samples) one.shift();
+      while (samples[0].length > MOST_SAMPLES || (samples[0].length && samples[0][0] < Date.now() / 1000 - WINDOW_S)) for (const one of samples) one.shift();
       if (performance.now() - readMs > READ_MS) read();
       showNow();
       showLive();
