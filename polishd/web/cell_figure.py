@@ -60,7 +60,9 @@ def cell_figure(config: CellConfig, plan: Mapping[str, NDArray[Any]]) -> dict[st
         dwell_s = np.asarray(plan["time_s"], dtype=np.float64)
         if not ends.size or ends.shape != (block.size, 3) or dwell_s.shape != block.shape:
             raise ValueError(f"{ends.shape} points, {block.shape} blocks, {dwell_s.shape} times")
-    except (KeyError, ValueError) as error:
+        if not (np.isfinite(ends).all() and np.isfinite(dwell_s).all()):
+            raise ValueError("a point or its dwell is no finite number")
+    except (KeyError, ValueError, TypeError) as error:
         raise ConfigError(f"the arrays of this plan are not those of a pass ({error!r}); it cannot be shown") from error
     robot, placement = config.robot_model(), config.placement()
     path = _every(len(ends), MOST_PATH)

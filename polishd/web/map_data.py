@@ -18,7 +18,7 @@ from polishd.web.http.server import NoSuchResource
 
 Arrays = Mapping[str, NDArray[Any]]
 Encoding = Literal["rows", "float32"]
-ENCODINGS: Mapping[Encoding, int] = {"rows": 128, "float32": 512}
+ENCODINGS: Mapping[Encoding, int] = {"rows": 128, "float32": 768}
 """Greatest number of samples along a side: as numbers of the JSON, and as base64 of an array."""
 LEAST_PX = 8
 
@@ -101,7 +101,7 @@ def picture(request: MapRequest, surface: Arrays, plan: Arrays | None, after: Ar
             sampled = _of_path(surface, _given(plan), "time_s" if request.kind == "dwell" else "gamma", request.px)
         else:
             sampled = _of_grid(surface, _heights(request.kind, surface, plan, after))
-    except (KeyError, ValueError, IndexError) as error:
+    except (KeyError, ValueError, IndexError, TypeError) as error:
         raise ConfigError(f"the arrays of this map are not those of a pass ({error!r}); it cannot be shown") from error
     inside = sampled.values[sampled.aperture & np.isfinite(sampled.values)]
     limit = height_limit(inside)
@@ -171,8 +171,9 @@ def _of_path(surface: Arrays, plan: Arrays, key: str, px: int) -> _Sampled:
     step = pitch * max(1.0, math.ceil((max(high - low) / pitch + 1) / px))
     x = np.arange(low[0], high[0] + step, step)
     y = np.arange(high[1], low[1] - step, -step)
-    column = np.rint((x - left) / pitch).astype(np.intp)
-    row = np.rint((top - y) / pitch).astype(np.intp)
+    # not rint: it takes every other half to the same even number
+    column = np.floor((x - left) / pitch + 0.5).astype(np.intp)
+    row = np.floor((top - y) / pitch + 0.5).astype(np.intp)
     on_grid = ((row >= 0) & (row < mask.shape[0]))[:, None] & ((column >= 0) & (column < mask.shape[1]))
     aperture = on_grid & mask[np.clip(row, 0, mask.shape[0] - 1)][:, np.clip(column, 0, mask.shape[1] - 1)]
     distance, nearest = scipy.spatial.cKDTree(points).query(np.stack(np.meshgrid(x, y), axis=2))
@@ -217,4 +218,4 @@ def _encoded(sampled: _Sampled, key: str, encoding: Encoding) -> dict[str, Any]:
         return {**known, key: values, "aperture": mask}
     shown = np.where(sampled.aperture, sampled.values, np.nan)
     digits = 3 if key == "height_nm" else 5
-    return {**known, key: [[None if np.isnan(one) else round(float(one), digits) for one in row] for row in shown]}
+    return {**known, key: [[round(float(one), digits) if np.isfinite(one) else None for one in row] for row in shown]}

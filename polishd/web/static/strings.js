@@ -118,7 +118,7 @@ export const texts = {
     path: "Path of the tool", smooth: "Interpolate between samples", outline: "Edge of the clear aperture",
     zoomIn: "Zoom in", zoomOut: "Zoom out", whole: "Show all", figures: "In the clear aperture",
     names: { pv: "PV", rms: "RMS", low: "Least", high: "Greatest", mean: "Mean", pitch: "Sample pitch", size: "Samples", zoom: "Zoom" },
-    cycle: (number, rms) => `${number}: ${rms}`, first: "before polishing", after: (number) => `after pass ${number}`,
+    latest: "Latest", first: "Before polishing", after: (number) => `After pass ${number}`,
     noJob: "There is no measurement yet.", none: "There is no such map", noData: "no data here", beyond: "outside the clear aperture",
     oldPlan: "The daemon keeps the plan of a job until the next job begins.",
     canvas: (kind, unit) => `Map, ${kind}${unit ? `, ${unit}` : ""}. Arrow keys move the cursor, with Shift ten samples. Plus, minus: zoom. 0: all.`,

@@ -52,6 +52,9 @@ def plan() -> dict[str, NDArray[Any]]:
     }
 
 
+CELL = "/api/jobs/1/cycles/0/cell"
+
+
 def fill(state: Path, planned: Mapping[str, Any] | None = None, *, job: str = "demo") -> None:
     """A job of two measurements with a pass between them, and a pass after the second."""
     store = ArrayStore(state / ARRAYS_NAME)
@@ -147,7 +150,7 @@ def test_dwell_and_gamma_lie_along_the_path(web: Served) -> None:
         ("/api/jobs/9/cycles/0/plan", 404, "none of that job and cycle"),
         (at("measured", "?px=4"), 400, "px must be a whole number from 8 to 128"),
         (at("measured", "?px=129"), 400, "from 8 to 128 with encoding=rows"),
-        (at("measured", "?px=513&encoding=float32"), 400, "from 8 to 512"),
+        (at("measured", "?px=769&encoding=float32"), 400, "from 8 to 768"),
         (at("measured", "?px=x"), 400, "px must be a whole number"),
         (at("measured", "?encoding=png"), 400, "encoding must be one of rows, float32"),
         ("/api/jobs/1/cycles/0/plan?points=1", 400, "points must be a whole number from 2"),
@@ -183,6 +186,19 @@ def test_arrays_of_another_pass_are_refused(web: Served, planned: dict[str, NDAr
     assert (said.status_code, "it cannot be shown" in said.json()["error"]) == (400, True), said.text
 
 
+@pytest.mark.parametrize("key", ["block", "time_s", "end_mm"])
+def test_a_plan_that_is_none_has_no_cell(web: Served, key: str) -> None:
+    fill(web.config.state_dir, without(key) if key == "block" else plan() | {key: np.full_like(plan()[key], np.nan)})
+    said = web.ask("GET", CELL)
+    assert (said.status_code, "it cannot be shown" in said.json()["error"]) == (400, True), said.text
+
+
+def test_a_map_without_a_finite_value_is_empty(web: Served) -> None:
+    fill(web.config.state_dir, plan() | {"residual_nm": np.full((NY, NX), np.inf)})
+    found = web.ask("GET", at("predicted")).json()
+    assert (found["scale"], {one for row in found["height_nm"] for one in row}) == ([-1.0, 1.0], {None})
+
+
 @pytest.mark.parametrize("damage", ["missing", "cut", "no arrays"])
 def test_a_damaged_file_of_the_store_is_named(web: Served, damage: str) -> None:
     state = web.config.state_dir
@@ -203,9 +219,6 @@ def test_a_damaged_file_of_the_store_is_named(web: Served, damage: str) -> None:
     for one in said:
         assert (one.status_code, one.json()["error"].startswith("arrays ")) == (503, True), one.text
     assert web.ask("GET", "/api/state").status_code == 200
-
-
-CELL = "/api/jobs/1/cycles/0/cell"
 
 
 def test_the_cell_has_robot_path_and_part(web: Served, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,7 +64,7 @@ function floor(g, flat, { center, radius, floor: z }, ink) {
   g.fillStyle = ink.muted;
   g.textAlign = "center";
   g.textBaseline = "top";
-  g.fillText(`${figure(step, 0)} mm`, at[0], at[1] + 4);
+  g.fillText(`${figure(step, 0)} mm`, Math.min(at[0], g.canvas.clientWidth - 30), at[1] + 4);
 }
 
 function polygon(g, points) {

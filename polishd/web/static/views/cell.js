@@ -11,7 +11,7 @@ const VIEWS = { free: [-0.65, 0.42], top: [0, Math.PI / 2], side: [-Math.PI / 2,
 export const styles = ["/maps/maps.css"];
 
 export function mount(root, ctx) {
-  const texts = ctx.texts.cellView, now = { cycle: null, follow: true, focus: "cell", k: 0 }, known = { cell: null, why: "", asked: 0 };
+  const texts = ctx.texts.cellView, now = { cycle: null, chosen: false, follow: true, focus: "cell", k: 0 }, known = { cell: null, why: "", asked: 0 };
   let ended = false;
 
   // elements
@@ -21,7 +21,7 @@ export function mount(root, ctx) {
   picture.setAttribute("role", "application");
   message.setAttribute("role", "status");
   const views = choice(texts.view, texts.views, "free", (name) => camera.look(...VIEWS[name]));
-  const cycles = select(texts.pass, {}, "", (cycle) => { now.cycle = Number(cycle); load(); });
+  const cycles = select(texts.pass, {}, "", (cycle) => { Object.assign(now, { cycle: Number(cycle), chosen: true }); load(); });
   const follow = toggle(texts.follow, true, (on) => { now.follow = on; show(); });
   const point = box("label", "m-field"), slider = made("input"), card = box("section", "m-card"), numbers = facts(texts.shown), legend = box("section", "m-card");
   Object.assign(slider, { type: "range", min: "0", step: "1" });
@@ -45,7 +45,7 @@ export function mount(root, ctx) {
   async function load() {
     const turn = ++known.asked, all = ctx.cycles() ?? [], waits = Boolean(ctx.state()?.live?.approval);
     const list = all.filter((one) => one.run || (waits && one === all.at(-1)));
-    if (list.length && !list.some((one) => one.cycle === now.cycle)) now.cycle = list.at(-1).cycle;
+    if (list.length && !(now.chosen && list.some((one) => one.cycle === now.cycle))) now.cycle = list.at(-1).cycle;
     cycles.fill(Object.fromEntries(list.map((one) => [one.cycle, String(one.cycle + 1)])), now.cycle);
     const key = JSON.stringify([ctx.job(), now.cycle, list.find((one) => one.cycle === now.cycle)?.run?.began_s]);
     if (known.cell && known.key === key) return;

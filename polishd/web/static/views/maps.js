@@ -8,20 +8,20 @@ import { drawProfile } from "../maps/profile.js";
 import { Surface } from "../maps/surface.js";
 import { oncePerFrame, onChange } from "../maps/theme.js";
 
-const CLOSEST = 40, DRAG = 4, QUIET_MS = 700;
+const LATEST = "latest", CLOSEST = 40, DRAG = 4, QUIET_MS = 700;
 const DIGITS = { height_nm: 2, dwell_s: 4, gamma: 4 };
 
 export const styles = ["/maps/maps.css"];
 
 // What was chosen, also after another tab was shown.
-const kept = { kind: "measured", cycle: null, look: "flat", colors: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
+const kept = { kind: "measured", cycle: null, chosen: false, look: "flat", colors: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
 
 // What a link to this view chooses: #maps?kind=residual&cycle=2&look=solid
 function asked(args, texts) {
   const found = {}, cycle = Number.parseInt(args?.get("cycle"), 10);
   if (args?.get("kind") in texts.kinds) found.kind = args.get("kind");
   if (["flat", "solid"].includes(args?.get("look"))) found.look = args.get("look");
-  if (cycle >= 0) found.cycle = cycle;
+  if (cycle >= 0) Object.assign(found, { cycle, chosen: true });
   return found;
 }
 
@@ -37,15 +37,18 @@ export function mount(root, ctx) {
   const map = canvas("", "m-map"), flat = canvas("", "m-flat"), upright = canvas("", "m-upright"), corner = box("div", "m-corner"), stage = box("div", "m-stage");
   const mesh = canvas("", ""), labels = canvas("", "");
   message.setAttribute("role", "status");
+  said.setAttribute("aria-live", "off"); // it changes with each move; `spoken` follows once it rests
   spoken.setAttribute("aria-live", "polite");
   map.tabIndex = labels.tabIndex = 0;
   for (const one of [map, labels]) one.setAttribute("role", "application");
   mesh.setAttribute("aria-hidden", "true");
+  mesh.addEventListener("webglcontextlost", (event) => event.preventDefault()); // then it may be restored
+  mesh.addEventListener("webglcontextrestored", () => { surface = null; known.meshed = null; show(); });
   stage.append(mesh, labels);
   corner.append(sign("+", texts.zoomIn, () => zoom(1.5)), sign("\u2212", texts.zoomOut, () => zoom(1 / 1.5)), button(texts.whole, "m-button", whole));
   const kinds = choice(texts.show, texts.kinds, now.kind, (kind) => { now.kind = kind; load(); });
   const looks = choice(texts.look, { flat: texts.flat, solid: texts.solid }, now.look, (look) => { now.look = look; arrange(); });
-  const cycles = select(texts.pass, {}, "", (cycle) => { now.cycle = Number(cycle); load(); });
+  const cycles = select(texts.pass, {}, "", (cycle) => { Object.assign(now, { cycle: Number(cycle), chosen: cycle !== LATEST }); load(); });
   const redraw = (key) => (value) => { now[key] = value; if (key === "ends" && value === "first") load(); else show(); };
   const card = box("section", "m-card"), options = box("section", "m-card"), numbers = facts(texts.figures);
   const relief = box("label", "m-field"), slider = made("input"), times = made("span");
@@ -68,8 +71,10 @@ export function mount(root, ctx) {
   async function load() {
     const turn = ++known.asked, list = ctx.cycles() ?? [];
     if (!list.length) { known.map = null; known.why = texts.noJob; arrange(); return; }
-    if (!list.some((one) => one.cycle === now.cycle)) now.cycle = list.at(-1).cycle;
-    cycles.fill(Object.fromEntries(list.map((one) => [one.cycle, texts.cycle(one.cycle, `${one.cycle ? texts.after(one.cycle) : texts.first}, ${figure(one.measured.rms_nm, 2)} nm`)])), now.cycle);
+    if (!now.chosen || !list.some((one) => one.cycle === now.cycle)) Object.assign(now, { cycle: latest(list).cycle, chosen: false });
+    const named = (one) => `${one.cycle ? texts.after(one.cycle) : texts.first}, ${figure(one.measured.rms_nm, 2)} nm`;
+    const shown = list.find((one) => one.cycle === now.cycle);
+    cycles.fill({ ...Object.fromEntries(list.map((one) => [one.cycle, named(one)])), [LATEST]: `${texts.latest}: ${named(shown)}` }, now.chosen ? now.cycle : LATEST);
     const key = JSON.stringify([ctx.job(), now.cycle, now.kind, now.ends === "first", list.filter((one) => one.cycle === now.cycle || one.cycle === now.cycle + 1).map((one) => [one.taken_s, one.run?.began_s])]);
     if (known.map && known.key === key) return;
     const found = await ctx.ask("GET", `${at(now.cycle)}/map/${now.kind}?encoding=float32`);
@@ -83,6 +88,12 @@ export function mount(root, ctx) {
     if (other) now.view = null;
     arrange();
     if (now.path) { await loadPath(); if (!ended) show(); }
+  }
+  // The last measurement that has a map of this kind: a plan, and for the residual a measurement after its pass.
+  function latest(list) {
+    const waits = Boolean(ctx.state()?.live?.approval), last = list.length - 1;
+    const has = (one, k) => now.kind === "measured" || (one.run && (now.kind !== "residual" || k < last)) || (waits && k === last && now.kind !== "residual");
+    return list.filter(has).at(-1) ?? list[last];
   }
   async function loadPath() {
     const key = `${ctx.job()} ${now.cycle}`;
@@ -141,7 +152,7 @@ export function mount(root, ctx) {
       path: now.path ? known.path?.plan : null, tool: toolNow() };
     drawn = drawHeightMap(map, known.map, how);
     const { plot, toMm } = drawn, [x, y] = now.cursor, [left, top] = toMm(plot.x, plot.y), [right, bottom] = toMm(plot.x + plot.w, plot.y + plot.h);
-    const narrow = getComputedStyle(upright).gridColumnStart === "1", common = { unit: known.map.unit || texts.kinds[now.kind] };
+    const narrow = getComputedStyle(upright).gridColumnStart === "1", common = { unit: known.map.unit };
     const lines = [profileOf(known.map, "x", y), profileOf(known.map, "y", x)];
     const heights = lines.flat().filter((p) => p[1] !== null && (p[2] || now.outside === "show")).map((p) => p[1]);
     const range = heights.length ? [Math.min(...heights), Math.max(...heights)] : scale();
