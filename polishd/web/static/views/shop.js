@@ -4,7 +4,7 @@ import { NONE } from "/format.js";
 
 export const styles = ["/views/shop.css"];
 
-// A word in a coloured chip; the word alone says it, too.
+// A word in a colored chip; the word alone says it, too.
 const LOOKS = { rejected: "bad", "set aside": "aside", held: "attend", "under way": "busy", stopped: "aside" };
 export const chip = (key, word) => made("span", word, `chip ${LOOKS[key] ?? ""}`);
 
@@ -120,7 +120,7 @@ function drawLevel(one, { value, text }) {
   g.restore();
 }
 
-// Maps of jobs on canvases with one range of colours. `wanted`: [{ path, label, note }], path below /api/jobs.
+// Maps of jobs on canvases with one range of colors. `wanted`: [{ path, label, note }], path below /api/jobs.
 export async function maps(ctx, wanted, { missing, signed = true }) {
   const { drawHeightMap } = await import("/maps/height_map.js");
   const datas = await Promise.all(wanted.map((one) => ctx.got(`/api/jobs/${one.path}?px=160&encoding=float32`).catch(() => null)));
@@ -132,8 +132,8 @@ export async function maps(ctx, wanted, { missing, signed = true }) {
     canvas.setAttribute("aria-label", one.label);
     return figure;
   });
-  const bar = ends.length ? await colourBar(scale, signed && datas.some((one) => one?.signed), datas.find((one) => one)?.unit ?? "nm") : null;
-  let together = true; // one range of colours; false: of each its own
+  const bar = ends.length ? await colorBar(scale, signed && datas.some((one) => one?.signed), datas.find((one) => one)?.unit ?? "nm") : null;
+  let together = true; // one range of colors; false: of each its own
   const draw = (one = together) => {
     together = one;
     figures.forEach((figure, n) => {
@@ -146,8 +146,8 @@ export async function maps(ctx, wanted, { missing, signed = true }) {
   return { root, bar, draw, end() { sizes.disconnect(); } };
 }
 
-// A horizontal colour bar with its ends and middle.
-async function colourBar([low, high], signed, unit) {
+// A horizontal color bar with its ends and middle.
+async function colorBar([low, high], signed, unit) {
   const { css, tableOf: table } = await import("/maps/colormap.js");
   const canvas = made("canvas"), g = canvas.getContext("2d");
   canvas.width = 128;
@@ -155,5 +155,5 @@ async function colourBar([low, high], signed, unit) {
   for (let n = 0; n < 128; n++) { g.fillStyle = css(table(signed), n / 127); g.fillRect(n, 0, 1, 1); }
   canvas.setAttribute("aria-hidden", "true");
   const said = (value) => `${Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(1)}`;
-  return box("div", "colour-bar", made("span", said(low)), canvas, made("span", `${said(high)}\u00a0${unit}`));
+  return box("div", "color-bar", made("span", said(low)), canvas, made("span", `${said(high)}\u00a0${unit}`));
 }
