@@ -307,7 +307,7 @@ class PathsStudy(PartStudy):
     lag_s: NotNegative = 0.02
     """Time constant with which the tool follows the path in a separate row; 0: no such row."""
     line_noise_um: NotNegative = 30.0
-    """RMS of the tool's distance from the path, across and along in a separate row; 0: no such row."""
+    """RMS of the tool's distance from the path, across and along, in a separate row; 0: no such row. [um]"""
     msf_period_mm: Range = (0.3, 3.0)
     """Periods of `msf_nm`; longer ones are low orders."""
     cell_mm: Positive = 0.1
