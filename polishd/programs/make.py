@@ -169,9 +169,7 @@ def _with_pitch(options: MakeOptions, config: CellConfig | None) -> tuple[MakeOp
         if over <= 1.0:
             return found, quiet
         least_mm = 1.001 * quiet.pitch_mm * over
-    raise typer.BadParameter(
-        f"--time-budget {budget_s:g}: no path is that short: the last one takes {over:.2f} times that"
-    )
+    raise typer.BadParameter(f"--time-budget {budget_s:g}: no path with this --step and --feed is that short")
 
 
 BUDGET_ROUNDS = 8

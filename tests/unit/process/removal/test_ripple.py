@@ -278,7 +278,7 @@ def test_lines_out_of_place_leave_what_lines_moved_at_random_leave(pitch_mm: flo
     error_mm, count = 0.06, 4000
     found = by_cause(with_errors(Lines(pitch_mm), PathErrors(0.0, error_mm)), "line_error")
     step = RADIUS_MM / 60
-    y = np.arange(-120, 121) * step * 1.2
+    y = np.asarray(np.arange(-120, 121) * step * 1.2, dtype=np.float64)
     slope = np.gradient(profile(y, 90.0), y)
     at = np.arange(0, count * pitch_mm, step)
     moved = np.random.default_rng(3).standard_normal(count) * error_mm / 1.96
@@ -305,7 +305,8 @@ def test_a_tool_that_trails_lines_to_and_fro_leaves_twice_their_period() -> None
     _, prompt = direct_nm(blocks, time_s, 1.0, 3.0)
     exact = float(np.linalg.norm(amplitudes(at, late - prompt, 90.0, 3.0)))
     assert exact > 0.01
-    assert [(one.direction, one.period_mm, one.rms_nm) for one in found] == [("across", pytest.approx(3.0), 0.0)]
+    assert [(one.direction, one.rms_nm) for one in found] == [("across", 0.0)]
+    assert found[0].period_mm == pytest.approx(3.0)
     assert found[0].rms_high_nm * 2**0.5 == pytest.approx(exact, rel=0.1)
 
 

@@ -85,7 +85,8 @@ def amplitudes(patch_nm: FloatArray, sample_mm: float, period_mm: float) -> Floa
     for n in (1, 2):
         terms += [np.cos(2 * np.pi * n * y / period_mm), np.sin(2 * np.pi * n * y / period_mm)]
     found = np.linalg.lstsq(np.column_stack([t.ravel() for t in terms]), patch_nm.ravel(), rcond=None)[0]
-    return np.hypot(*found[-4:].reshape(2, 2).T) / np.sinc(sample_mm * np.array([1, 2]) / period_mm)
+    own = np.hypot(*found[-4:].reshape(2, 2).T) / np.sinc(sample_mm * np.array([1, 2]) / period_mm)
+    return np.asarray(own, dtype=np.float64)
 
 
 @pytest.mark.one_of_each
