@@ -1,5 +1,5 @@
 // What the views of queue, history and approval share: result chips, terms, charts over uPlot, maps of a job.
-import { box, button, colour, made } from "/dom.js";
+import { box, button, color, made } from "/dom.js";
 import { NONE } from "/format.js";
 
 export const styles = ["/views/shop.css"];
@@ -59,7 +59,7 @@ export const problem = (text, why, again, label) => box("div", "problem", made("
 /* A chart of uPlot that follows the width of its place. `series`: { label, values, kind: "line" | "points" | "bars" |
  * "hidden", stroke, fill? }; `bands`: pairs of series numbers. Returns { root, chart, end() }. */
 export function chart({ label, height = 170, x, series, bands = [], time = true, log = false, hover, level, xText, yText, range }) {
-  const root = box("div", "plot"), U = window.uPlot, muted = colour("--muted"), grid = { stroke: colour("--grid"), width: 1 };
+  const root = box("div", "plot"), U = window.uPlot, muted = color("--muted"), grid = { stroke: color("--grid"), width: 1 };
   root.setAttribute("role", "img");
   root.setAttribute("aria-label", label);
   if (!U) { root.append(made("p", label, "empty")); return { root, end() {} }; }
@@ -74,7 +74,7 @@ export function chart({ label, height = 170, x, series, bands = [], time = true,
     series: [{}, ...series.map((one) => ({
       label: one.label, stroke: one.stroke, fill: one.fill, width: one.kind === "bars" ? 0 : 2, spanGaps: true, show: true,
       ...(one.kind === "bars" ? { paths: U.paths.bars({ size: [0.78, 26], align: 0 }), points: { show: false } } : {}),
-      ...(one.kind === "points" ? { paths: () => null, points: { show: true, size: 9, width: 2, fill: colour("--card"), stroke: one.stroke } } : {}),
+      ...(one.kind === "points" ? { paths: () => null, points: { show: true, size: 9, width: 2, fill: color("--card"), stroke: one.stroke } } : {}),
       ...(one.kind === "dots" ? { points: { show: true, size: 7, fill: one.stroke } } : {}),
       ...(one.kind === "line" ? { points: { show: x.length < 2 } } : {}),
       ...(one.kind === "hidden" ? { stroke: "transparent", width: 0, points: { show: false } } : {}),
@@ -105,8 +105,8 @@ function drawLevel(one, { value, text }) {
   const { ctx: g, bbox } = one, y = one.valToPos(value, "y", true), dpr = devicePixelRatio || 1;
   if (!(y >= bbox.top && y <= bbox.top + bbox.height)) return;
   g.save();
-  g.strokeStyle = colour("--text");
-  g.fillStyle = colour("--text");
+  g.strokeStyle = color("--text");
+  g.fillStyle = color("--text");
   g.setLineDash([5 * dpr, 4 * dpr]);
   g.lineWidth = 1.5 * dpr;
   g.beginPath();
