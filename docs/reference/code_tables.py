@@ -119,10 +119,11 @@ def laid_into(name: str, text: str) -> str:
     """Return the page with its tables as the code has them; each replaces the table with the same header."""
     for made in PAGES[name]:
         table = made()
+        replacement = f"{MARK}\n\n{table}\n"
         header = re.escape(table.splitlines()[0])
         text, count = re.subn(
             rf"(?:{re.escape(MARK)}\n\n)?^{header}\n(?:\|.*\n)+",
-            lambda _, table=table: f"{MARK}\n\n{table}\n",
+            replacement.replace("\\", r"\\"),
             text,
             flags=re.MULTILINE,
         )

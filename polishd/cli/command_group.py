@@ -82,8 +82,9 @@ class CommandGroup(typer.core.TyperGroup):
             for pattern, plain in PLAIN_ERRORS:
                 error.message = re.sub(pattern, plain, error.message, flags=re.DOTALL)
             switch = error.param
-            if isinstance(error, MissingParameter) and getattr(switch, "is_flag", False) and switch.secondary_opts:
-                names = " or ".join([*switch.opts, *switch.secondary_opts])
+            off = getattr(switch, "secondary_opts", ())
+            if isinstance(error, MissingParameter) and switch is not None and off:
+                names = " or ".join([*switch.opts, *off])
                 raise UsageError(f"Missing option. Add {names}.", error.ctx) from None
             raise
 

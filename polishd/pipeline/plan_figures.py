@@ -103,7 +103,7 @@ def plan_figures(
         force_n=recipe.process.force_n,
         rpm=recipe.process.rpm,
         limits=tuple(_limits(recipe, plan)),
-        notes=_notes(recipe, solved, plan, planned),
+        notes=_notes(recipe, measured, solved, plan, planned),
     )
 
 
@@ -125,11 +125,14 @@ def _limits(recipe: Recipe, plan: Plan) -> Iterator[PlanLimit]:
         yield PlanLimit(f"machine.{name}_mm", float(tip[:, axis].max()), high, "mm")
 
 
-def _notes(recipe: Recipe, solved: SolveResult, plan: Plan, planned: PlanResult) -> tuple[str, ...]:
+def _notes(
+    recipe: Recipe, measured: MeasureResult, solved: SolveResult, plan: Plan, planned: PlanResult
+) -> tuple[str, ...]:
+    side_mm = max(measured.grid.shape) * measured.grid.pitch_mm
     found: Sequence[str] = (
         *plan.program.warnings,
         *solved.answer.notes,
-        *ripple_notes(recipe.lines, planned.ripple),
+        *ripple_notes(recipe.lines, planned.ripple, side_mm, solved.answer.acting),
         *planned.certificate.notes,
     )
     return tuple(dict.fromkeys(found))

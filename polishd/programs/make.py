@@ -214,20 +214,24 @@ def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
 def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
     """Points on the optic and tool axes, in the part's frame. ComputeError where there are none."""
     aperture, optic = _aperture(options, config), _optic(options, config)
-    lengths = (RASTER_MM if options.pitch_mm is None else options.pitch_mm, options.step_mm)
-    beyond: dict[str, Any] = {"overrun_mm": options.overrun_mm, "landing_mm": options.landing_mm}
-    beyond |= {"optic": optic}
+    common: dict[str, Any] = {
+        "pitch_mm": RASTER_MM if options.pitch_mm is None else options.pitch_mm,
+        "step_mm": options.step_mm,
+        "optic": optic,
+        "overrun_mm": options.overrun_mm,
+        "landing_mm": options.landing_mm,
+    }
     _require_shape(options)
     _require_wider(config, aperture)
     if options.shape == "raster":
         lines: dict[str, Any] = {"direction_deg": options.direction_deg, "phase": options.phase}
         if options.cross_deg is None:
-            points = raster(aperture, *lengths, **beyond, **lines)
+            points = raster(aperture, **common, **lines)
         else:
-            points = crossed_raster(aperture, *lengths, **beyond, **lines, cross_deg=options.cross_deg)
+            points = crossed_raster(aperture, **common, **lines, cross_deg=options.cross_deg)
     elif options.shape in ("spiral", "concentric"):
         turns: dict[str, Any] = {"inwards": options.inwards, "rings": options.shape == "concentric"}
-        points = spiral(aperture, *lengths, **beyond, **turns, phase=options.phase)
+        points = spiral(aperture, **common, **turns, phase=options.phase)
     else:
         bends: dict[str, Any] = {
             "direction_deg": options.direction_deg,
@@ -235,11 +239,11 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
         }
         density = _density(options)
         if options.shape == "random":
-            points = random_raster(aperture, *lengths, **beyond, **bends, seed=options.seed, density=density)
+            points = random_raster(aperture, **common, **bends, seed=options.seed, density=density)
         elif density is None:
             raise typer.BadParameter("adaptive needs --removal: a map of what is to be removed")
         else:
-            points = adaptive_raster(aperture, *lengths, density, **beyond, **bends)
+            points = adaptive_raster(aperture, density=density, **common, **bends)
     dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
     placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
     if lean is None or options.azimuth_deg is not None:

@@ -120,12 +120,12 @@ def _computed(study: Study) -> Iterator[dict[str, Any]]:
     """Figures only: maps and profiles are computed again on demand."""
     if isinstance(study, CorrectionsStudy):
         solve = study.solve.model_copy(update={"cpu_limit_s": UNHURRIED_S})
-        unhurried = study.model_copy(update={"solve": solve})
-        yield from (facts_of(row) for row in compare_corrections(unhurried, read, _silent).rows)
+        corrections = study.model_copy(update={"solve": solve})
+        yield from (facts_of(row) for row in compare_corrections(corrections, read, _silent).rows)
     elif isinstance(study, PathsStudy):
         solve = study.solve.model_copy(update={"cpu_limit_s": UNHURRIED_S})
-        unhurried = study.model_copy(update={"solve": solve})
-        yield from (facts_of(row) for row in compare_paths(unhurried, read, _silent).rows)
+        paths = study.model_copy(update={"solve": solve})
+        yield from (facts_of(row) for row in compare_paths(paths, read, _silent).rows)
     elif isinstance(study, PassesStudy):
         yield polish_evenly(study, _silent).as_json()
     elif not isinstance(study, LoopStudy):
