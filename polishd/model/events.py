@@ -358,7 +358,8 @@ class PlanAwaitingApproval(Event):
     dwell_s: Annotated[float, "s in contact, as planned"]
     figures: Annotated[
         Mapping[str, Any] | None,
-        "what is approved: RMS now, predicted and expected, ripple, removal, force, speed, `limits` and `notes`",
+        "what is approved, one by one: `before_rms_nm`, `expected_nm`, `ripple_rms_nm`, `removal_mean_nm`, `limits`, "
+        "`notes` and all else of `PlanFigures`",
     ] = None
     plan: Annotated[str, "name of its arrays in the journal's store"] = ""
 

@@ -208,8 +208,10 @@ class Overview:
             return []
         expected = np.asarray(plan.get("expected_s", plan["time_s"]), dtype=np.float64)
         block, upto_s = np.asarray(plan["block"]), np.cumsum(expected)
+        if not block.size:
+            return []
         step = max(1, -(-block.size // MOST_POINTS))
-        chosen = np.unique(np.append(np.arange(0, block.size, step), block.size - 1)) if block.size else []
+        chosen = np.unique(np.append(np.arange(0, block.size, step), block.size - 1))
         return [(round(float(upto_s[k]), 3), int(block[k]) + 1) for k in chosen]
 
     def _rows(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:

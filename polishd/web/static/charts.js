@@ -1,6 +1,6 @@
-// Charts with axes and units, by uPlot. A chart takes its colours when it is made: the shell mounts a view again when the
+// Charts with axes and units, by uPlot. A chart takes its colors when it is made: the shell mounts a view again when the
 // theme changes.
-import { box, colour, made, put } from "./dom.js";
+import { box, color, made, put } from "./dom.js";
 import { figure } from "./format.js";
 
 const FONT = "11px Inter, system-ui, sans-serif";
@@ -26,15 +26,15 @@ export function chart(id, options) {
   let drawn = null, overlay = { lines: [], marks: [] }, data = null;
 
   const axis = (one, extra) => ({
-    stroke: colour("--muted"), font: FONT, labelFont: FONT, label: one.label, labelSize: 18, labelGap: 2, ticks: { stroke: colour("--grid"), size: 4 },
-    grid: { stroke: colour("--grid"), width: 1 }, gap: 4, ...extra,
+    stroke: color("--muted"), font: FONT, labelFont: FONT, label: one.label, labelSize: 18, labelGap: 2, ticks: { stroke: color("--grid"), size: 4 },
+    grid: { stroke: color("--grid"), width: 1 }, gap: 4, ...extra,
   });
   const plain = (u, splits) => splits.map((value) => (value === null ? "" : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? power(value) : String(Number(value.toPrecision(6)))));
   const whole = (u, splits) => splits.map((value) => (Number.isInteger(value) ? String(value) : ""));
   const logs = (u, splits) => splits.map((value) => (value !== null && Number.isInteger(Math.round(1e6 * Math.log10(value)) / 1e6) ? power(value) : ""));
   const decades = (u, splits) => splits.map((value) => (value !== null && Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-6 ? value : null));
   const halves = (u, splits) => splits.map((value) => (value !== null && [1, 2, 5].includes(Math.round(value / 10 ** Math.floor(Math.log10(value) + 1e-9))) ? value : null));
-  const logAxis = { values: logs, filter: decades, ticks: { stroke: colour("--grid"), size: 4, filter: decades }, grid: { stroke: colour("--grid"), width: 1, filter: halves } };
+  const logAxis = { values: logs, filter: decades, ticks: { stroke: color("--grid"), size: 4, filter: decades }, grid: { stroke: color("--grid"), width: 1, filter: halves } };
   const times = (u, splits) => splits.map((value) => new Date(1000 * value).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" }));
 
   function make() {
@@ -51,11 +51,11 @@ export function chart(id, options) {
         axis(y, { ...(y.log ? logAxis : { values: plain }), size: 44, space: y.log ? 18 : 30 }),
       ],
       series: [{}, ...options.series.map((one) => ({
-        label: one.label, stroke: colour(one.color), width: one.width ?? 1.75, dash: one.dash, spanGaps: Boolean(one.span), show: !one.hidden,
-        points: { show: Boolean(one.points), size: 8, fill: one.ring ? colour("--card") : colour(one.color), stroke: colour(one.color), width: 2 },
+        label: one.label, stroke: color(one.color), width: one.width ?? 1.75, dash: one.dash, spanGaps: Boolean(one.span), show: !one.hidden,
+        points: { show: Boolean(one.points), size: 8, fill: one.ring ? color("--card") : color(one.color), stroke: color(one.color), width: 2 },
         ...(one.only ? { paths: () => null } : {}),
       }))],
-      bands: (options.bands ?? []).map((one) => ({ series: one.series, fill: colour("--band") })),
+      bands: (options.bands ?? []).map((one) => ({ series: one.series, fill: color("--band") })),
       hooks: { draw: [over], setCursor: [read] },
     };
     drawn = new window.uPlot(built, data, plot);
@@ -70,7 +70,7 @@ export function chart(id, options) {
     g.clip();
     for (const one of overlay.lines ?? []) {
       const at = Math.round(u.valToPos(one.y, "y", true)) + 0.5;
-      g.strokeStyle = g.fillStyle = colour(one.color);
+      g.strokeStyle = g.fillStyle = color(one.color);
       g.setLineDash(one.dash ? one.dash.map((part) => part * dpr) : []);
       g.beginPath(); g.moveTo(left, at); g.lineTo(left + width, at); g.stroke();
       g.textAlign = "right";
@@ -80,7 +80,7 @@ export function chart(id, options) {
     let taken = -Infinity, row = 0;
     for (const one of overlay.marks ?? []) {
       const at = Math.round(u.valToPos(one.x, "x", true)) + 0.5;
-      g.strokeStyle = g.fillStyle = colour(one.color);
+      g.strokeStyle = g.fillStyle = color(one.color);
       g.setLineDash([2 * dpr, 3 * dpr]);
       g.beginPath(); g.moveTo(at, top); g.lineTo(at, top + height); g.stroke();
       row = at - taken < 60 * dpr ? row + 1 : 0;

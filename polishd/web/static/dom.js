@@ -51,5 +51,5 @@ export function card(id, title, ...children) {
   return one;
 }
 
-// A colour of page.css, for canvases.
-export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+// A color of page.css, for canvases.
+export const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();

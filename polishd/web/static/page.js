@@ -132,7 +132,7 @@ for (const name of VIEWS) {
 $("tabs").setAttribute("aria-label", "polishd");
 document.querySelector(".skip").addEventListener("click", (event) => { event.preventDefault(); $("view").focus(); });
 addEventListener("hashchange", () => route());
-addEventListener("polishd-theme", () => route(true)); // canvases take their colours anew
+addEventListener("polishd-theme", () => route(true)); // canvases take their colors anew
 
 // what comes
 function watch() {

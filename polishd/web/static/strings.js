@@ -4,7 +4,7 @@ export const texts = {
   skip: "To the content", token: "Your token", signIn: "Sign in", signOut: "Sign out", signInTo: "Polishing cell",
   tokenFrom: "A token is made with: polishd web CELL.toml --add-user NAME --role ROLE",
   tabs: { dashboard: "Dashboard", maps: "Maps", cell: "Cell", queue: "Queue", history: "History", host: "Host" },
-  settings: "Settings", theme: "Colours", themes: { auto: "System", light: "Light", dark: "Dark" },
+  settings: "Settings", theme: "Colors", themes: { auto: "System", light: "Light", dark: "Dark" },
   sound: "Alarm sound", sounds: { on: "On", off: "Off" }, soundTest: "Test the sound", silence: "Silence", soundBlocked: "The browser plays no sound before you click on the page once.",
   soundPlayed: "Three tones were played. Heard nothing? Check the volume of this device.",
   hold: "Hold", stop: "Stop", resume: "Resume", approve: "Approve plan", acknowledge: "Acknowledge", show: "Show",

@@ -1,4 +1,4 @@
-// Runs before the first paint, so that the page never flashes in the other colours. Choice: "auto", "light" or "dark".
+// Runs before the first paint, so that the page never flashes in the other colors. Choice: "auto", "light" or "dark".
 (() => {
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const choice = () => { try { return localStorage.getItem("polishd.theme") || "auto"; } catch { return "auto"; } };

@@ -1,5 +1,5 @@
 // Parts over months: a table with filter and order, figures by week, one part in detail, two parts side by side.
-import { box, button, card, colour, made, put } from "/dom.js";
+import { box, button, card, color, made, put } from "/dom.js";
 import { NONE, clock, duration, figure, percent, withUnit } from "/format.js";
 import { chart, chip, day, hash, maps, problem, shortDay, styles, tableOf, tile } from "./shop.js";
 
@@ -144,7 +144,7 @@ export function mount(root, ctx) {
   function drawWeeks(weeks) {
     drop();
     if (!weeks.length) { controls.weeks.replaceChildren(); return; }
-    const x = weeks.map((one) => one.at_s), plain = colour("--s1"), soft = colour("--line"), band = colour("--band");
+    const x = weeks.map((one) => one.at_s), plain = color("--s1"), soft = color("--line"), band = color("--band");
     const middle = (key, by = 1) => [0, 1, 2].map((n) => weeks.map((one) => (one[key] ? by * one[key][n] : null)));
     const cards = [["parts", (one) => t.partsOf(one.parts, one.accepted), [
       { label: t.charts.parts, values: weeks.map((one) => one.parts), kind: "bars", fill: soft },
@@ -219,21 +219,21 @@ export function mount(root, ctx) {
   function convergence(parts, height) {
     const most = Math.max(...parts.map((one) => one.cycles.at(-1)?.cycle ?? 0)), x = Array.from({ length: most + 1 }, (_, n) => n);
     const of = (one, pick) => x.map((n) => { const cycle = one.cycles.find((each) => each.cycle === n); return (cycle && pick(cycle)) ?? null; });
-    const series = [], bands = [], inks = [colour("--s1"), colour("--s2")];
+    const series = [], bands = [], inks = [color("--s1"), color("--s2")];
     parts.forEach((one, k) => {
       const before = x.map((n) => one.cycles.find((each) => each.cycle === n - 1)?.run ?? null);
       if (parts.length === 1) {
         series.push({ label: "", values: before.map((run) => run?.forecast?.low_nm ?? null), kind: "hidden" }, { label: "", values: before.map((run) => run?.forecast?.high_nm ?? null), kind: "hidden" });
-        bands.push({ series: [2, 1], fill: colour("--band") });
+        bands.push({ series: [2, 1], fill: color("--band") });
       }
-      series.push({ label: one.part, values: of(one, (cycle) => cycle.measured.rms_nm), kind: "dots", stroke: inks[k] }, { label: t.predicted, values: before.map((run) => run?.predicted_rms_nm ?? null), kind: "points", stroke: parts.length === 1 ? colour("--s2") : inks[k] });
+      series.push({ label: one.part, values: of(one, (cycle) => cycle.measured.rms_nm), kind: "dots", stroke: inks[k] }, { label: t.predicted, values: before.map((run) => run?.predicted_rms_nm ?? null), kind: "points", stroke: parts.length === 1 ? color("--s2") : inks[k] });
     });
     const limits = parts[0].cycles.at(-1)?.measured.judged?.filter((line) => line.what === "RMS") ?? [];
     const level = limits.length ? { value: limits[0].limit, text: `${t.limit} ${figure(limits[0].limit)} nm` } : undefined;
     const said = parts.map((one) => `${one.part}: ${one.cycles.map((cycle) => nm(cycle.measured.rms_nm)).join(", ")}`).join(". ");
     const range = (_, low, high) => [Math.min(low, level?.value ?? low) / 1.5, high * 1.3];
     const made_ = chart({ label: `${t.convergence}. ${said}`, height, x, series, bands, time: false, log: true, level, xText: t.measurement, yText: t.rms, range });
-    const key = box("p", "key note", ...(parts.length === 1 ? [mark("line", inks[0]), t.measured, mark("ring", colour("--s2")), t.predicted, mark("area", colour("--band")), t.expected] : parts.flatMap((one, k) => [mark("line", inks[k]), one.part]).concat([mark("ring", colour("--muted")), t.predicted])));
+    const key = box("p", "key note", ...(parts.length === 1 ? [mark("line", inks[0]), t.measured, mark("ring", color("--s2")), t.predicted, mark("area", color("--band")), t.expected] : parts.flatMap((one, k) => [mark("line", inks[k]), one.part]).concat([mark("ring", color("--muted")), t.predicted])));
     return { root: box("div", "", made_.root, key), end: () => made_.end() };
   }
   function passTable(one) {

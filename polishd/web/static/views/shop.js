@@ -1,10 +1,10 @@
 // What the views of queue, history and approval share: result chips, terms, charts over uPlot, maps of a job.
-import { box, button, colour, made } from "/dom.js";
+import { box, button, color, made } from "/dom.js";
 import { NONE } from "/format.js";
 
 export const styles = ["/views/shop.css"];
 
-// A word in a coloured chip; the word alone says it, too.
+// A word in a colored chip; the word alone says it, too.
 const LOOKS = { rejected: "bad", "set aside": "aside", held: "attend", "under way": "busy", stopped: "aside" };
 export const chip = (key, word) => made("span", word, `chip ${LOOKS[key] ?? ""}`);
 
@@ -59,7 +59,7 @@ export const problem = (text, why, again, label) => box("div", "problem", made("
 /* A chart of uPlot that follows the width of its place. `series`: { label, values, kind: "line" | "points" | "bars" |
  * "hidden", stroke, fill? }; `bands`: pairs of series numbers. Returns { root, chart, end() }. */
 export function chart({ label, height = 170, x, series, bands = [], time = true, log = false, hover, level, xText, yText, range }) {
-  const root = box("div", "plot"), U = window.uPlot, muted = colour("--muted"), grid = { stroke: colour("--grid"), width: 1 };
+  const root = box("div", "plot"), U = window.uPlot, muted = color("--muted"), grid = { stroke: color("--grid"), width: 1 };
   root.setAttribute("role", "img");
   root.setAttribute("aria-label", label);
   if (!U) { root.append(made("p", label, "empty")); return { root, end() {} }; }
@@ -74,7 +74,7 @@ export function chart({ label, height = 170, x, series, bands = [], time = true,
     series: [{}, ...series.map((one) => ({
       label: one.label, stroke: one.stroke, fill: one.fill, width: one.kind === "bars" ? 0 : 2, spanGaps: true, show: true,
       ...(one.kind === "bars" ? { paths: U.paths.bars({ size: [0.78, 26], align: 0 }), points: { show: false } } : {}),
-      ...(one.kind === "points" ? { paths: () => null, points: { show: true, size: 9, width: 2, fill: colour("--card"), stroke: one.stroke } } : {}),
+      ...(one.kind === "points" ? { paths: () => null, points: { show: true, size: 9, width: 2, fill: color("--card"), stroke: one.stroke } } : {}),
       ...(one.kind === "dots" ? { points: { show: true, size: 7, fill: one.stroke } } : {}),
       ...(one.kind === "line" ? { points: { show: x.length < 2 } } : {}),
       ...(one.kind === "hidden" ? { stroke: "transparent", width: 0, points: { show: false } } : {}),
@@ -105,8 +105,8 @@ function drawLevel(one, { value, text }) {
   const { ctx: g, bbox } = one, y = one.valToPos(value, "y", true), dpr = devicePixelRatio || 1;
   if (!(y >= bbox.top && y <= bbox.top + bbox.height)) return;
   g.save();
-  g.strokeStyle = colour("--text");
-  g.fillStyle = colour("--text");
+  g.strokeStyle = color("--text");
+  g.fillStyle = color("--text");
   g.setLineDash([5 * dpr, 4 * dpr]);
   g.lineWidth = 1.5 * dpr;
   g.beginPath();
@@ -120,7 +120,7 @@ function drawLevel(one, { value, text }) {
   g.restore();
 }
 
-// Maps of jobs on canvases with one range of colours. `wanted`: [{ path, label, note }], path below /api/jobs.
+// Maps of jobs on canvases with one range of colors. `wanted`: [{ path, label, note }], path below /api/jobs.
 export async function maps(ctx, wanted, { missing, signed = true }) {
   const { drawHeightMap } = await import("/maps/height_map.js");
   const datas = await Promise.all(wanted.map((one) => ctx.got(`/api/jobs/${one.path}?px=160&encoding=float32`).catch(() => null)));
@@ -132,8 +132,8 @@ export async function maps(ctx, wanted, { missing, signed = true }) {
     canvas.setAttribute("aria-label", one.label);
     return figure;
   });
-  const bar = ends.length ? await colourBar(scale, signed && datas.some((one) => one?.signed), datas.find((one) => one)?.unit ?? "nm") : null;
-  let together = true; // one range of colours; false: of each its own
+  const bar = ends.length ? await colorBar(scale, signed && datas.some((one) => one?.signed), datas.find((one) => one)?.unit ?? "nm") : null;
+  let together = true; // one range of colors; false: of each its own
   const draw = (one = together) => {
     together = one;
     figures.forEach((figure, n) => {
@@ -146,8 +146,8 @@ export async function maps(ctx, wanted, { missing, signed = true }) {
   return { root, bar, draw, end() { sizes.disconnect(); } };
 }
 
-// A horizontal colour bar with its ends and middle.
-async function colourBar([low, high], signed, unit) {
+// A horizontal color bar with its ends and middle.
+async function colorBar([low, high], signed, unit) {
   const { css, tableOf: table } = await import("/maps/colormap.js");
   const canvas = made("canvas"), g = canvas.getContext("2d");
   canvas.width = 128;
@@ -155,5 +155,5 @@ async function colourBar([low, high], signed, unit) {
   for (let n = 0; n < 128; n++) { g.fillStyle = css(table(signed), n / 127); g.fillRect(n, 0, 1, 1); }
   canvas.setAttribute("aria-hidden", "true");
   const said = (value) => `${Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(1)}`;
-  return box("div", "colour-bar", made("span", said(low)), canvas, made("span", `${said(high)}\u00a0${unit}`));
+  return box("div", "color-bar", made("span", said(low)), canvas, made("span", `${said(high)}\u00a0${unit}`));
 }

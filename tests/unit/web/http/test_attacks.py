@@ -231,7 +231,8 @@ def test_malicious_names_come_as_json_text_and_no_file_of_the_page_makes_markup_
     assert said.headers["content-type"] == "application/json"
     assert said.headers["x-content-type-options"] == "nosniff"
     assert said.json()["alarms"][0]["what"] == name
-    script = "".join(path.read_text() for path in STATIC.glob("*.js"))
+    ours = [path for path in STATIC.rglob("*.js") if "vendor" not in path.parts]
+    script = "".join(path.read_text() for path in ours).replace("http://www.w3.org/2000/svg", "")  # a name
     for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "Function("):
         assert word not in script
     assert "http:" not in script
