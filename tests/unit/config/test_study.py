@@ -76,7 +76,7 @@ def test_fig_12_is_ten_passes() -> None:
         ("step_mm = 1.0", "step_mm = 0.01", "[path]", "path: 4.1e+07 dwell points or samples; at most"),
         ('"fixed"', '"fixd"', "dip_direction", "compliance.dip_direction: 'fixd' is not allowed"),
         ('"corrections"', '"correction"', "kind", "kind: 'correction' is not allowed; set one of 'corrections', "),
-        ('kind = "corrections"', "", "", "kind: is missing; set one of 'corrections', 'loop', 'passes', 'paths', 'spots'"),
+        ('kind = "corrections"', "", "", "kind: is missing; set one of 'corrections', 'loop', 'passes', 'paths', "),
     ],
 )
 def test_what_is_wrong_is_said_with_file_and_line(tmp_path: Path, old: str, new: str, key: str, says: str) -> None:
