@@ -164,26 +164,26 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
     _require_shape(options)
     _require_wider(config, aperture)
     if options.shape == "raster":
-        lines: dict[str, Any] = {"direction_deg": options.direction_deg, "phase": options.phase}
+        lines = beyond | {"direction_deg": options.direction_deg, "phase": options.phase}
         if options.cross_deg is None:
-            points = raster(aperture, *lengths, **beyond, **lines)
+            points = raster(aperture, *lengths, **lines)
         else:
-            points = crossed_raster(aperture, *lengths, **beyond, **lines, cross_deg=options.cross_deg)
+            points = crossed_raster(aperture, *lengths, **lines, cross_deg=options.cross_deg)
     elif options.shape in ("spiral", "concentric"):
-        turns: dict[str, Any] = {"inwards": options.inwards, "rings": options.shape == "concentric"}
-        points = spiral(aperture, *lengths, **beyond, **turns, phase=options.phase)
+        turns = beyond | {"inwards": options.inwards, "rings": options.shape == "concentric"}
+        points = spiral(aperture, *lengths, **turns, phase=options.phase)
     else:
-        bends: dict[str, Any] = {
+        bends = beyond | {
             "direction_deg": options.direction_deg,
             "min_radius_mm": _radius_mm(options, config),
         }
         density = _density(options)
         if options.shape == "random":
-            points = random_raster(aperture, *lengths, **beyond, **bends, seed=options.seed, density=density)
+            points = random_raster(aperture, *lengths, **bends, seed=options.seed, density=density)
         elif density is None:
             raise typer.BadParameter("adaptive needs --removal: a map of what is to be removed")
         else:
-            points = adaptive_raster(aperture, *lengths, density, **beyond, **bends)
+            points = adaptive_raster(aperture, *lengths, density, **bends)
     dip_deg = options.dip_deg if options.dip_deg is not None else (config.process.dip_deg if config else 0.0)
     placement, lean = (UPRIGHT, None) if config is None else (config.placement(), config.compliance_options())
     if lean is None or options.azimuth_deg is not None:

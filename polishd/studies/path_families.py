@@ -306,7 +306,7 @@ def _solve(study: PathsStudy, made: _Path, start: ConditionedMap) -> tuple[Float
     effect = made.path.matrix(start.grid, made.spots)
     lower, upper = motion.least_time_s(program, envelope), motion.most_time_s(program, envelope)
     warm: FloatArray | None = None
-    for _ in range(ROUNDS + 1):
+    for last in (*[False] * ROUNDS, True):
         piston = choose_piston_nm(start.height_nm, start.solve_mask, effect.removal_nm(lower), study.solve.unreachable)
         problem = DwellProblem(
             effect=effect,
@@ -320,11 +320,11 @@ def _solve(study: PathsStudy, made: _Path, start: ConditionedMap) -> tuple[Float
         found = newton_cg.solve(problem, study.solve.cpu_limit_s, study.solve.kkt_tolerance, warm)
         delivered = motion.delivered_time_s(program, motion.asked_time_s(program, found.time_s, envelope), envelope)
         late = delivered > found.time_s * 1.001 + 1e-4
-        if not late.any():
-            break
+        if last or not late.any():
+            stopped = found.certificate.stopped
+            return delivered, "" if stopped == "converged" else f"stopped at the {stopped}: no minimum"
         lower, warm = np.maximum(lower, np.where(late, delivered, 0.0)), found.time_s
-    stopped = found.certificate.stopped
-    return delivered, "" if stopped == "converged" else f"stopped at the {stopped}: no minimum"
+    raise AssertionError("the last round returns")
 
 
 def _across_mm_s2(study: PathsStudy, made: _Path, time_s: FloatArray) -> float:
@@ -336,7 +336,8 @@ def _across_mm_s2(study: PathsStudy, made: _Path, time_s: FloatArray) -> float:
     turn = np.arccos(np.clip(np.einsum("ni,ni->n", unit[1:], unit[:-1]), -1.0, 1.0))
     curvature = turn / ((program.length_mm[1:] + program.length_mm[:-1]) / 2)
     joined = np.linalg.norm(program.start_mm[1:] - program.end_mm[:-1], axis=1) < 1e-6
-    here = joined & study.outline().contains(*program.end_mm[:-1, :2].T, study.part.edge_mm)
+    x, y = program.end_mm[:-1, :2].T
+    here = joined & study.outline().contains(x, y, study.part.edge_mm)
     return float((np.maximum(speed[1:], speed[:-1]) ** 2 * curvature)[here].max(initial=0.0))
 
 
