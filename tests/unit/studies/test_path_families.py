@@ -28,7 +28,6 @@ SMALL = (
     ("aperture_mm = 60.0", "aperture_mm = 26.0"),
     ("period_mm = [12.0, 60.0]", "period_mm = [8.0, 20.0]"),
     ("radius_errors = [-0.05, -0.03, 0.0, 0.05, 0.03]", "radius_errors = [0.0, 0.03]"),
-    ("kkt_tolerance = 1e-4", "kkt_tolerance = 1e-3"),
 )
 
 
