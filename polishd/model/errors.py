@@ -52,6 +52,10 @@ class ConfigError(PolishdError):
     exit_code = 3
 
 
+class NoSuchResource(ConfigError):
+    """The cell has no such job, map, plan or file: the HTTP answer is 404."""
+
+
 class JournalDamage(ConfigError):
     """Rows, pages or commits of a cell's journal are damaged; it is left as it is, and nothing was opened."""
 

@@ -17,12 +17,12 @@ from starlette.types import Receive, Scope, Send
 
 from polishd.config.cell import CellConfig
 from polishd.daemon.socket import client
-from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError
+from polishd.model.errors import ConfigError, LinkError, NoDaemon, NoSuchResource, PolishdError
 from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import ClientShares, JsonAnswer, NoSuchResource, RateLimiter, refusal
+from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
-from polishd.web.map_data import MapRequest
+from polishd.web.map_data import MapQuery
 from polishd.web.overview import Overview
 from polishd.web.part_history import MOST_FILTER, MOST_PAGE, PAGE, RESULTS, PartFilter, PartHistory
 from polishd.web.queue_view import QueueView
@@ -178,7 +178,7 @@ class Api:
 
     async def map(self, request: Request, _session: HttpSession) -> Any:
         """A map as an array."""
-        wanted = MapRequest.of(request.path_params["kind"], request.query_params)
+        wanted = MapQuery.of(request.path_params["kind"], request.query_params)
         return await _in_thread(self._disk.map, *_cycle(request), wanted)
 
     async def cell(self, request: Request, _session: HttpSession) -> Any:

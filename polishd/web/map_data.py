@@ -11,10 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, NoSuchResource
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.rendering.scales import PERCENTILE, height_limit, value_limits
-from polishd.web.http.server import NoSuchResource
 
 Arrays = Mapping[str, NDArray[Any]]
 Encoding = Literal["rows", "float32"]
@@ -48,7 +47,7 @@ MAP_KINDS: Mapping[str, MapKind] = {
 
 
 @dataclass(frozen=True, slots=True)
-class MapRequest:
+class MapQuery:
     """Which map, and how it is answered."""
 
     kind: str
@@ -57,7 +56,7 @@ class MapRequest:
     encoding: Encoding = "rows"
 
     @classmethod
-    def of(cls, kind: str, query: Mapping[str, str]) -> MapRequest:
+    def of(cls, kind: str, query: Mapping[str, str]) -> MapQuery:
         """Return the request of a path and its query; ConfigError where a value cannot be."""
         if kind not in MAP_KINDS:
             raise NoSuchResource(f"there is no such map: {', '.join(MAP_KINDS)}")
@@ -83,7 +82,7 @@ class _Sampled:
     pitch_mm: float
 
 
-def picture(request: MapRequest, surface: Arrays, plan: Arrays | None, after: Arrays | None) -> dict[str, Any]:
+def picture(request: MapQuery, surface: Arrays, plan: Arrays | None, after: Arrays | None) -> dict[str, Any]:
     """Return the answer for a map.
 
     Args:

@@ -17,12 +17,11 @@ from polishd.config.job_file import JobFile
 from polishd.daemon.journal.history import naming_damage, read_events, read_only
 from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME
 from polishd.daemon.journal.store import ArrayStore
-from polishd.model.errors import ConfigError, JournalDamage
+from polishd.model.errors import ConfigError, JournalDamage, NoSuchResource
 from polishd.model.events import PlanAwaitingApproval
 from polishd.process.metrology.spectra import radial_psd
 from polishd.web.cell_figure import CellFigures
-from polishd.web.http.server import NoSuchResource
-from polishd.web.map_data import MapRequest, picture
+from polishd.web.map_data import MapQuery, picture
 
 MOST_POINTS = 4000
 """Most points of a path, unless the request says more."""
@@ -47,10 +46,6 @@ ALARMS: Mapping[str, tuple[str, str, str]] = {
 NO_CYCLE = "there is none of that job and cycle"
 
 
-class NoSuchRow(NoSuchResource):
-    """The journal has no such job and cycle, or it has no such arrays."""
-
-
 class RunData:
     """Data of one cell."""
 
@@ -65,7 +60,7 @@ class RunData:
         return [dict(zip(("number", "job", "part", "began_s", "ended_s", "outcome"), row, strict=True)) for row in rows]
 
     def cycles(self, job: int) -> list[dict[str, Any]]:
-        """Measurements of a job, each with the pass after it. NoSuchRow where there is no such job."""
+        """Measurements of a job, each with the pass after it. NoSuchResource where there is no such job."""
         self._one("SELECT id FROM job WHERE id = ?", job, missing=f"there is no job {job} in this cell's journal")
         sql = "SELECT cycle, facts, started, ended, how, program_sha256 FROM pass WHERE job = ?"
         with naming_damage(self._state_dir):
@@ -86,7 +81,7 @@ class RunData:
     def waiting_plan(self, program_sha256: str) -> dict[str, Any]:
         """Figures of a plan of the newest job that waits, or waited, for approval, and of the pass before it.
 
-        NoSuchRow where that job has no such plan.
+        NoSuchResource where that job has no such plan.
         """
         sql = (
             "SELECT id, job, at, cycle, data FROM event WHERE job = (SELECT max(id) FROM job) AND name = ? "
@@ -96,7 +91,7 @@ class RunData:
             plans = [(*row, dict(json.loads(text))) for *row, text in self._rows(sql, PlanAwaitingApproval.name)]
             found = next((one for one in plans if one[4]["program_sha256"] == program_sha256), None)
             if found is None:
-                raise NoSuchRow(f"no plan {program_sha256[:12]} of the present job waits, or waited, for approval")
+                raise NoSuchResource(f"no plan {program_sha256[:12]} of the present job waits, or waited, for approval")
             _, job, at_s, cycle, plan = found
             figures = {key: value for key, value in plan.items() if key not in {"program_sha256", "plan"}}
             cycles = self.cycles(job)
@@ -129,7 +124,7 @@ class RunData:
             return [{"at_s": at_s, **json.loads(text)} for at_s, text in self._rows(sql, job)]
 
     def run_folder(self, job: int) -> str:
-        """Run folder of a job as the journal has it; empty: nothing was measured. NoSuchRow where there is no job."""
+        """Run folder of a job by the journal; empty: nothing was measured. NoSuchResource where there is no job."""
         sql = "SELECT id, run_dir FROM job WHERE id = ?"
         return str(self._one(sql, job, missing=f"there is no job {job} in this cell's journal")[1])
 
@@ -139,7 +134,7 @@ class RunData:
             facts = self._one("SELECT facts FROM pass WHERE job = ? AND cycle = ?", job, cycle)
             return dict(json.loads(facts[0])["certificate"])
 
-    def map(self, job: int, cycle: int, request: MapRequest) -> dict[str, Any]:
+    def map(self, job: int, cycle: int, request: MapQuery) -> dict[str, Any]:
         """A map as an array: see `map_data.MAP_KINDS`."""
         surface, plan, after = self._surface(job, cycle), None, None
         if request.kind != "measured":
@@ -147,8 +142,10 @@ class RunData:
         if request.kind == "residual":
             try:
                 after = self._surface(job, cycle + 1)
-            except NoSuchRow:
-                raise NoSuchRow(f"there is none of that job and cycle: no measurement after pass {cycle} yet") from None
+            except NoSuchResource:
+                raise NoSuchResource(
+                    f"there is none of that job and cycle: no measurement after pass {cycle} yet"
+                ) from None
         return picture(request, surface, plan, after)
 
     def cell(self, job: int, cycle: int, config: CellConfig) -> dict[str, Any]:
@@ -233,7 +230,7 @@ class RunData:
             )
             rows = self._rows(sql, job, cycle)
         if not rows or not rows[0][0]:
-            raise NoSuchRow(NO_CYCLE)
+            raise NoSuchResource(NO_CYCLE)
         return str(rows[0][0])
 
     def _arrays(self, name: str) -> dict[str, NDArray[Any]]:
@@ -246,7 +243,7 @@ class RunData:
     def _one(self, sql: str, *values: Any, missing: str = NO_CYCLE) -> tuple[Any, ...]:
         found = self._rows(sql, *values)
         if not found or not found[0][0]:
-            raise NoSuchRow(missing)
+            raise NoSuchResource(missing)
         return found[0]
 
     def _rows(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:

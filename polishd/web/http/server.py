@@ -22,7 +22,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from polishd.config.server_sections import WebSection
-from polishd.model.errors import ConfigError, JournalDamage, PolishdError
+from polishd.model.errors import ConfigError, JournalDamage, NoSuchResource, PolishdError
 from polishd.util.serialization import finite
 from polishd.web.http.certificates import Certificate, CertificateMonitor
 
@@ -204,10 +204,6 @@ log = logging.getLogger(__name__)
 
 LEAVE_S = 2
 """Time for which the process waits at its end for open streams."""
-
-
-class NoSuchResource(ConfigError):
-    """There is no such job, map, plan or file: the answer is 404."""
 
 
 def serve(app: ASGIApp, web: WebSection, certificate: Certificate | None) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from polishd.config.cell import CellConfig
 from polishd.config.job_file import JobFile
 from polishd.daemon.journal.journal import ARRAYS_NAME, Journal
 from polishd.daemon.journal.store import ArrayStore
@@ -225,7 +226,12 @@ def test_the_cell_has_robot_path_and_part(web: Served, monkeypatch: pytest.Monke
     fill(web.config.state_dir)
     computed = []
     was = cell_figure.cell_figure
-    monkeypatch.setattr(cell_figure, "cell_figure", lambda *given: computed.append(1) or was(*given))
+
+    def counted(config: CellConfig, planned: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+        computed.append(1)
+        return was(config, planned)
+
+    monkeypatch.setattr(cell_figure, "cell_figure", counted)
     found, again = (web.ask("GET", CELL).json() for _ in range(2))
     assert found == again
     assert computed == [1], "once"
