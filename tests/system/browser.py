@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import fcntl
 import json
@@ -77,10 +76,6 @@ class Page:
     def press(self, name: str) -> None:
         self.until(f"!document.getElementById('{name}').disabled")
         self.run(f"document.getElementById('{name}').click()")
-
-    def picture(self, path: Path, height: int) -> None:
-        clip = {"x": 0, "y": 0, "width": 1200, "height": height, "scale": 1}
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png", clip=clip)["data"]))
 
     def _next(self) -> dict[str, Any]:
         end = time.monotonic() + 2 * SOON_S

@@ -30,8 +30,6 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 SEEN_S = 1.5
 """A daemon that is killed is seen within so long, on a machine that has nothing else to do."""
 FREE = {"web": {"port": 0}}
-PICTURE = os.environ.get("POLISHD_PAGE_PNG", "")
-"""Where the picture for the README goes."""
 
 
 WEB = ("-m", "polishd.cli.app", "web")
@@ -94,9 +92,6 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
                 page.until("document.getElementById('lost').hidden")
                 page.until("document.querySelectorAll('#convergence .u-wrap').length > 0")
                 page.until("document.getElementById('map-said').textContent.includes('nm')")
-                if PICTURE:
-                    page.until("document.getElementById('done').value > 0.3")
-                    page.picture(Path(PICTURE), 1500)
                 page.press("hold")
                 page.until(STATE.format("held"))
                 page.until("document.getElementById('journal').textContent.includes('Hold by anna (web)')")
