@@ -30,7 +30,7 @@ HELP = """Read, compare, convert, combine and report surface maps.
 polishd map FILE... shows the figures of each map; its options are those of polishd map figures."""
 
 
-class MapGroup(CommandGroup):
+class MapCommands(CommandGroup):
     """Group that accepts files instead of a command. Write a file that is named like a command as ``./compare``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -41,7 +41,7 @@ class MapGroup(CommandGroup):
         return found
 
 
-app = typer.Typer(cls=MapGroup, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
+app = typer.Typer(cls=MapCommands, help=HELP, subcommand_metavar="FILE... | COMMAND [ARGS]...")
 
 
 @app.command(DEFAULT)

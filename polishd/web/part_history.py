@@ -120,7 +120,6 @@ class PartHistory:
         self._lock = threading.Lock()
         self._ended: list[PartRow] = []
         """Rows of the jobs before the first one that is under way."""
-        self._file: tuple[int, int] = (0, 0)
 
     def page(self, chosen: PartFilter, sort: str = "", offset: int = 0, limit: int = PAGE) -> dict[str, Any]:
         """Return the rows of a page, with the number of all parts and of those that match.
@@ -171,15 +170,20 @@ class PartHistory:
         with self._lock:
             if not path.exists():
                 return []
-            stat = path.stat()
-            if (stat.st_dev, stat.st_ino) != self._file:  # another journal, such as one from a backup
-                self._ended, self._file = [], (stat.st_dev, stat.st_ino)
+            if self._ended and not self._holds(self._ended[-1]):  # another journal, such as one from a backup
+                self._ended = []
             after = self._ended[-1].number if self._ended else 0
             jobs, results = read_history(self._state_dir, after), self._queue_results(after)
             new = [_row(job, *results.get(job.number, ("", ""))) for job in jobs]
             first_open = next((n for n, row in enumerate(new) if row.ended_s is None), len(new))
             self._ended += new[:first_open]
             return self._ended + new[first_open:]
+
+    def _holds(self, row: PartRow) -> bool:
+        """Whether the journal has this job. A new file may have the inode of the old one."""
+        with read_only(self._state_dir) as journal:
+            found = journal.execute("SELECT name, started FROM job WHERE id = ?", (row.number,)).fetchone()
+        return found is not None and tuple(found) == (row.job, row.began_s)
 
     def _queue_results(self, after: int) -> dict[int, tuple[str, str]]:
         with read_only(self._state_dir) as journal:

@@ -33,12 +33,13 @@ def keep(path: Path, rows: Iterable[Row]) -> None:
 def sources(scope: Iterable[str], root: Path = ROOT) -> str:
     """Return the hash of the Python files below these folders of the project, by path and content.
 
-    A module that is a single file counts as a folder. FileNotFoundError where there is none of that name.
+    A module that is a single file counts as a folder, and so does a file that is named with its ending.
+    FileNotFoundError where there is none of that name.
     """
     content = hashlib.sha256()
     for name in sorted(set(scope)):
         path = root / name
-        files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_name(f"{path.name}.py")]
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path if path.exists() else root / f"{name}.py"]
         for file in files:
             content.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return content.hexdigest()[:8]

@@ -28,7 +28,19 @@ ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```(?:python|py|python3|pycon)\b[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 NO_NUMBER = re.compile(r"(?<![\w.])[+-]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
 
-HERE = ("docs/tutorials/plugin.md", "docs/how-to/dwell.md", "docs/how-to/recording.md", "docs/how-to/studies.md")
+HERE = (
+    "docs/tutorials/plugin.md",
+    "docs/how-to/dwell.md",
+    "docs/how-to/paths.md",
+    "docs/how-to/recording.md",
+    "docs/how-to/studies.md",
+)
+    "docs/tutorials/plugin.md",
+    "docs/how-to/dwell.md",
+    "docs/how-to/paths.md",
+    "docs/how-to/recording.md",
+    "docs/how-to/studies.md",
+)
 """Pages whose examples this module runs."""
 ELSEWHERE = {
     "docs/how-to/certificate.md": "tests/unit/reports/certificate/test_issue.py",
@@ -144,6 +156,14 @@ def test_the_plugin_of_the_tutorial(install: Any, capsys: pytest.CaptureFixture[
     assert len(names["polishd_check_plan"](None, None)) == (names["date"].today().weekday() >= 5)
     names["polishd_on_event"](RunFolderCompleted(run_dir="runs/1", outcome="in_tolerance"))
     assert capsys.readouterr().out == "in_tolerance runs/1\n"
+
+
+def test_a_path_from_python() -> None:
+    (one,) = EXAMPLES["docs/how-to/paths.md"]
+    names: dict[str, Any] = {}
+    one.run(names)
+    assert names["points_mm"].shape[1] == 3
+    assert len(names["points_mm"]) > 5000
 
 
 def test_the_dwells_of_arrays(examples_folder: None, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from polishd.cli import cell as web
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
 from polishd.daemon.socket import client
 from polishd.util.command_line import account_name, terminal_user
+from polishd.web import routes
 from polishd.web.http.users import Role, User, UserFile, users_path
 from tests.unit.said import Polishd
 
@@ -49,7 +49,7 @@ def test_a_file_of_users_that_cannot_be_read_lets_nobody_in(polishd: Polishd, ce
 
 def test_it_serves(polishd: Polishd, cell: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     served = []
-    monkeypatch.setattr(web, "serve", served.append)
+    monkeypatch.setattr(routes, "serve", served.append)
     said = polishd("web", cell)
     assert (said.code, len(served)) == (0, 1)
     assert "there are no users" in said.err

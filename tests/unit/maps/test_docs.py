@@ -54,7 +54,6 @@ def shell(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     "words",
     [
         "map zygo_metropro.dat --trim",
-        "map codev.int",
         "map convert zygo",
         pytest.param("map report", marks=pytest.mark.full),
     ],

@@ -16,6 +16,7 @@ from polishd.process.identification.findings import Forecast
 from polishd.process.removal.ripple import Ripple, RippleLine
 from tests.unit.daemon.small import at_rate, small_map, small_program, small_recipe
 
+FORECAST = Forecast(0.5, 0.8, 1.4, 0.9, 0.99)
 RIPPLE = Ripple((RippleLine("across", 1.2, 0.6, 0.4, 0.9, 0.0),))
 
 
@@ -31,7 +32,8 @@ def solved(measured: MeasureResult) -> SolveResult:
 
 def figures_of(measured: MeasureResult, solved: SolveResult, forecast: Forecast | None) -> PlanFigures:
     plan = steps.rewrite(small_recipe(), small_program(), solved, "small.rnc")
-    planned = PlanResult.of(plan, solved, steps.in_part_frame(small_recipe(), plan.program), forecast)  # type: ignore[arg-type]
+    part = steps.in_part_frame(small_recipe(), plan.program)
+    planned = replace(PlanResult.of(plan, solved, part, forecast or FORECAST), forecast=forecast)
     return plan_figures(small_recipe(), measured, solved, plan, planned)
 
 

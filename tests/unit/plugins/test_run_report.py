@@ -405,7 +405,11 @@ def test_by_what_a_part_is_accepted_stands_on_the_page(run_dir: Path) -> None:
 def test_a_line_that_is_judged_with_hidden_ripple_says_so(run_dir: Path) -> None:
     line = LineResult("RMS", 1.9, 2.0, "nm", with_ripple=2.1, with_ripple_high=2.3)
     write_summary(run_dir, [{"rms_nm": 1.9, "judged": [line.facts()]}], accept="figure")
-    assert "no (2.1 nm with ripple that the map does not show, up to 2.3)" in words_of(run_dir)
+    page = words_of(run_dir)
+    assert "<th>measured</th><th>with ripple</th>" in re.sub(' class="[^"]*"| scope="col"', "", page)
+    row = next(row for row in re.findall(r"<tr>(.*?)</tr>", page) if "RMS</t" in row and "2.1" in row)
+    assert re.sub("<.*?>", " ", row).split() == ["RMS", "nm", "2", "1.9", "2.1", "not", "known", "fail"]
+    assert "With ripple: with the forecast ripple of the path that the map does not show. It decides." in page
 
 
 @pytest.mark.full

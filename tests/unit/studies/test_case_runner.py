@@ -157,7 +157,7 @@ def test_a_folder_without_scenarios_and_an_unknown_section_of_the_plant(tmp_path
     with pytest.raises(ConfigError, match=r"no \.toml file"):
         looped(path, 1)
     (tmp_path / "wrong" / "odd.toml").write_text('what = "x"\n[plan.hidden_truth]\nrate = [0.0, 0.0]\n')
-    with pytest.raises(ConfigError, match=r"odd\.toml:1: plan.*plant"):
+    with pytest.raises(ConfigError, match=r"odd\.toml:2: plan.*plant"):
         looped(path, 1)
 
 

@@ -147,7 +147,7 @@ async def test_a_pass_is_journalled_before_it_moves(job: Job, journal: Journal) 
     assert (unfinished.program_sha256, unfinished.boot_id) == (plan.program.sha256, "boot-1")
     (record,) = journal.passes
     assert (record.contact_from, record.contact_to) == (plan.approach_blocks, plan.contact_blocks)
-    believed = {"rate", "block_overhead_s", "unexplained", "ripple", "removal"}
+    believed = {"rate", "block_overhead_s", "unexplained", "ripple", "removal", "plan_figures"}
     assert set(record.facts) == {"certificate", "predicted_rms_nm", "dwell_s", "forecast", *believed}
 
 
