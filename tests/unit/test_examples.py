@@ -35,12 +35,6 @@ HERE = (
     "docs/how-to/recording.md",
     "docs/how-to/studies.md",
 )
-    "docs/tutorials/plugin.md",
-    "docs/how-to/dwell.md",
-    "docs/how-to/paths.md",
-    "docs/how-to/recording.md",
-    "docs/how-to/studies.md",
-)
 """Pages whose examples this module runs."""
 ELSEWHERE = {
     "docs/how-to/certificate.md": "tests/unit/reports/certificate/test_issue.py",
