@@ -66,7 +66,7 @@ def figures_of(before_nm: float, after_nm: float, program: str = "") -> dict[str
         "ripple": "1.50 mm across, amplitude 0.58 nm",
         "removal_mean_nm": 3.2 * before_nm,
         "removal_max_nm": 8.0 * before_nm,
-        "removal_mm3": 2.1e-5 * before_nm,
+        "removal_mm3": 2.1e-2 * before_nm,
         "dwell_s": 1260.0 * before_nm / 18,
         "points": 2360,
         "points_at_least_time": 12,

@@ -86,7 +86,7 @@ export function mount(root, ctx) {
       row(t.rippleHigh, (one) => nm(one.ripple_rms_high_nm)),
       row(t.removal, (one) => nm(one.removal_mean_nm)),
       row(t.removalMax, (one) => nm(one.removal_max_nm)),
-      row(t.volume, (one) => withUnit(1e9 * one.removal_mm3, "µm³")),
+      row(t.volume, (one) => withUnit(one.removal_mm3, "mm³")),
       row(t.time, (one) => duration(one.dwell_s), last ? duration(last.contact_s) : NONE),
       row(t.force, (one) => withUnit(one.force_n, "N")),
       row(t.speed, (one) => withUnit(one.rpm, "rpm")),
