@@ -426,7 +426,7 @@ def test_what_the_page_says_runs(polishd: Polishd, tmp_path: Path, monkeypatch: 
         assert said["points"] > 5000
         text = (tmp_path / said["out"]).read_bytes()
         assert read(dialect(said["dialect"]), text, said["out"]).n == said["points"]
-    assert len(commands) == 3
+    assert len(commands) == 4
     for option in ("aperture", "optic", "pitch", "direction", "inwards", "overrun", "dip", "turn-limit", "encoding"):
         assert f"--{option}" in page
 
