@@ -109,7 +109,7 @@ from tests.campaigns.mutation.trial import Telling, in_import
 path = ROOT / "polishd" / "model" / "states.py"
 module = Module(str(path), path.read_text())
 (mutant,) = [one for one in module.mutants() if one.change == "'idle' -> 'otheridle'"]
-test = "tests/unit/daemon/test_state_machine.py::test_the_docs_have_every_state_and_every_way"
+test = "tests/unit/daemon/test_state_machine.py::test_others_know_the_states_by_these_names"
 in_import(module, mutant if sys.argv[1] == "fault" else module.sound(mutant), [test], OPTIONS)(Telling(1))
 """
 

@@ -146,7 +146,7 @@ def test_the_program_of_another_part(
     line = other.read_text().splitlines().index('path = "program.rnc"') + 1
     assert said.code == 3
     assert said.err.startswith(
-        f"polishd: {other}:{line}: program.path: program.rnc reaches {reach_mm:.1f} mm from the part's centre"
+        f"polishd: {other}:{line}: program.path: program.rnc reaches {reach_mm:.1f} mm from the part's center"
     )
     assert says in said.err
     other.write_text(other.read_text().replace('path = "program.rnc"', 'path = "program.rnc"\ncoverage = "zone"'))

@@ -11,6 +11,11 @@ from polishd.daemon.state_machine import ORDERS, TRANSITIONS, StateEvent, StateT
 from polishd.model.states import DaemonState
 
 
+def test_others_know_the_states_by_these_names() -> None:
+    names = {"starting", "idle", "changing", "polishing", "held", "finished"}
+    assert {state.value for state in DaemonState} == names
+
+
 def test_no_way_stands_in_it_twice_and_none_leads_out_of_the_end() -> None:
     ways = [(row.source, row.trigger) for row in TRANSITIONS]
     assert len(set(ways)) == len(ways)

@@ -106,7 +106,7 @@ seeds = 1
 passes = 3
 [cell_with]
 "part.aperture_mm" = 30.0
-"job.tolerance_nm" = 1.5
+"job.tolerance_nm" = 1.7               # the bound has the ripple of two passes in it, which the map does not show
 [plant_with.plant]
 aperture_mm = 30.0
 pv_nm = 100.0
@@ -132,7 +132,7 @@ def test_turning_the_part_brings_the_true_figure_into_tolerance(tmp_path: Path) 
     runs = {run.loop: run for run in runs_here(study)}
     believed, turned, demanding = (runs[name] for name in study.controllers)
     assert believed.falsely_accepted
-    assert believed.true_rms_nm[-1] > 1.5 > believed.rms_nm[-1]
+    assert believed.true_rms_nm[-1] > 1.7 > believed.rms_nm[-1]
     assert turned.accepted
     assert turned.true_fits
     assert turned.true_rms_nm[-1] < 1.0
