@@ -84,10 +84,10 @@ def test_a_cell_file_is_refused_with_all_new_names_at_once_and_loads_with_them(o
 
 
 def test_each_name_of_the_page_is_refused_with_its_new_name(old: Path) -> None:
-    """The table of the page is that of the code, but for keys of the simulator, profiles and studies."""
+    """The list of the page is that of the code, but for keys of the simulator, profiles and studies."""
     from polishd.config.renamed_keys import renamed_key
 
-    listed = re.findall(r"^\| `([\w.]+)` \| `([\w.]+)`", PAGE, re.MULTILINE)
+    listed = re.findall(r"^- `([\w.]+)`: `([\w.]+)`", PAGE, re.MULTILINE)
     assert len(listed) > 20
     for before, after in listed:
         found = before
