@@ -372,20 +372,20 @@ def _number(request: Request, name: str) -> int:
 
 def _filter(query: Mapping[str, str]) -> PartFilter:
     """Return the filter of a query; ConfigError where a value is wrong."""
-    text, result = query.get("text", ""), query.get("result", "")
+    text, result = query.get("text", ""), query.get("result")
     if len(text) > MOST_FILTER:
         raise ConfigError(f"text has {len(text)} characters; at most {MOST_FILTER}")
-    if result and result not in RESULTS:
+    if result is not None and result not in RESULTS:
         raise ConfigError(f"result must be one of {', '.join(RESULTS)}")
     times = [_count(query, key, -1, MOST_NUMBER) for key in ("since", "until")]
     since_s, until_s = (None if one < 0 else float(one) for one in times)
-    return PartFilter(text, result, since_s, until_s)
+    return PartFilter(text, result or "", since_s, until_s)
 
 
 def _count(query: Mapping[str, str], key: str, default: int, most: int) -> int:
     """Return a whole number of a query; ConfigError where it is none, or too large."""
-    found = query.get(key, "")
-    if not found:
+    found = query.get(key)
+    if found is None:
         return default
     if not (found.isascii() and found.isdecimal() and int(found[:17]) <= most):
         raise ConfigError(f"{key} must be a whole number, at most {most}")

@@ -63,10 +63,12 @@ class MapQuery:
         encoding = next((one for one in ENCODINGS if one == query.get("encoding", "rows")), None)
         if encoding is None:
             raise ConfigError(f"encoding must be one of {', '.join(ENCODINGS)}")
-        px, most = query.get("px", ""), ENCODINGS[encoding]
-        if px and not (px.isascii() and px.isdecimal() and len(px) < 5 and LEAST_PX <= int(px) <= most):
-            raise ConfigError(f"px must be a whole number from {LEAST_PX} to {most} with encoding={encoding}")
-        return cls(kind, int(px or most), encoding)
+        px, largest = query.get("px"), max(ENCODINGS.values())
+        if px is None:
+            return cls(kind, ENCODINGS[encoding], encoding)
+        if not (px.isascii() and px.isdecimal() and len(px) < 5 and LEAST_PX <= int(px) <= largest):
+            raise ConfigError(f"px must be a whole number from {LEAST_PX} to {largest}")
+        return cls(kind, min(int(px), ENCODINGS[encoding]), encoding)
 
 
 @dataclass(frozen=True, slots=True)

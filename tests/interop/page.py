@@ -17,6 +17,8 @@ LINKS = (
     "SFTP",
     "CANopen",
     "RTDE",
+    "Robot Web Services 1.0",
+    "Robot Web Services 2.0",
     "FANUC RMI",
     "KUKAVARPROXY",
     "linuxcncrsh",

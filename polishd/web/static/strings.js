@@ -186,7 +186,7 @@ export const texts = {
     compareTwo: "Compare", choose: (name) => `Choose ${name} to compare`, chosen: (n) => (n === 1 ? "One part chosen: choose another to compare." : `${n} parts chosen`), clear: "Clear",
     charts: { parts: "Parts a week", hours: "Time of a part", gain: "Gain of the first pass", over: "Measured over predicted RMS" },
     notes: { parts: "ended in the week, accepted in color", hours: "h from begin to end, median and quartiles", gain: "% of the RMS that it removed, median and quartiles", over: "1 is as planned, median and quartiles" },
-    week: (date) => `Week of ${date}`, partsOf: (n, accepted) => `${n} parts, ${accepted} accepted`, quartiles: (median, low, high) => `${median} (${low} to ${high})`,
+    weeks: "Figures by week", week: (date) => `Week of ${date}`, partsOf: (n, accepted) => `${n} parts, ${accepted} accepted`, quartiles: (median, low, high) => `${median} (${low} to ${high})`,
     noWeeks: "No part has ended in this period.",
     back: "All parts", job: "Job", began: "Began", ended: "Ended", took: "Time", contact: "In contact", firstRms: "First RMS", lastRms: "Last RMS", passes: "Passes", interrupted: (n) => `${n} interrupted`,
     worst: "Nearest line of the tolerance", faults: "Faults", reason: "Reason", noPart: "This part cannot be shown:",

@@ -149,8 +149,8 @@ def test_dwell_and_gamma_lie_along_the_path(web: Served) -> None:
         (at("dwell", cycle=7), 404, "none of that job and cycle"),
         ("/api/jobs/9/cycles/0/cell", 404, "none of that job and cycle"),
         ("/api/jobs/9/cycles/0/plan", 404, "none of that job and cycle"),
-        (at("measured", "?px=4"), 400, "px must be a whole number from 8 to 128"),
-        (at("measured", "?px=129"), 400, "from 8 to 128 with encoding=rows"),
+        (at("measured", "?px=4"), 400, "px must be a whole number from 8 to 768"),
+        (at("measured", "?px="), 400, "px must be a whole number"),
         (at("measured", "?px=769&encoding=float32"), 400, "from 8 to 768"),
         (at("measured", "?px=x"), 400, "px must be a whole number"),
         (at("measured", "?encoding=png"), 400, "encoding must be one of rows, float32"),
@@ -169,6 +169,7 @@ def without(key: str) -> dict[str, NDArray[Any]]:
     return {name: value for name, value in plan().items() if name != key}
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("planned", "kind"),
     [

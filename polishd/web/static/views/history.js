@@ -70,6 +70,9 @@ export function mount(root, ctx) {
     periods.setAttribute("role", "group");
     periods.setAttribute("aria-label", t.period);
     const weeks = box("div", "weeks"), rows = box("div", ""), below = box("div", "pager"), picked = box("div", "picked");
+    weeks.tabIndex = 0; // on a phone it scrolls sideways
+    weeks.setAttribute("role", "region");
+    weeks.setAttribute("aria-label", t.weeks);
     const bar = box("div", "filters", search, result, periods);
     return { root: box("div", "history-page", bar, weeks, card("history-parts", t.title, picked, rows, below)), weeks, table: rows, below, picked };
   }
