@@ -410,6 +410,7 @@ def test_metropro_vector() -> None:
     assert (found.part_id, found.taken_at.timestamp() if found.taken_at else None) == ("DEMO-100", 1700000000)
 
 
+@pytest.mark.full
 @given(
     HEIGHTS, st.floats(0.01, 20.0), st.text("ABCxyz-0189 ", max_size=39),
     st.integers(int(EARLIEST.timestamp()), 2**31 - 1),

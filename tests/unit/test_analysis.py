@@ -68,6 +68,7 @@ def test_polishd_has_the_names_late() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.full
 def test_a_verb_that_is_not_known_is_an_error_and_not_a_traceback() -> None:
     """It is looked for among the plugins' verbs, which imports modules of polishd by ``from polishd import``."""
     command = [sys.executable, "-m", "polishd", "polsh", "cell.toml"]

@@ -231,6 +231,7 @@ def test_the_other_files_of_its_state_folder_are_read(old: Path) -> None:
     assert taken.any
 
 
+@pytest.mark.full
 def test_its_run_folder_is_certified_and_its_certificate_verified(old: Path, polishd: Polishd) -> None:
     rows = read_rows(old / "run")
     assert json.loads((old / "certificate.json").read_text())["journal"]["sha256"] == rows.sha256

@@ -77,6 +77,7 @@ def test_a_narrow_help_has_units_limits_and_choices_in_its_text() -> None:
         assert text in words
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("old", sorted(RENAMED_COMMANDS))
 def test_an_old_command_is_refused_with_the_new_one(old: str) -> None:
     new = RENAMED_COMMANDS[old]
@@ -114,6 +115,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.one_of_each
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize(
     ("line", "found"),

@@ -64,6 +64,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {"cell": files.cell, "program": program}
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("line", COMMANDS)
 def test_the_table_of_a_command(
     line: str, demo: dict[str, Path], polishd: Polishd, monkeypatch: pytest.MonkeyPatch

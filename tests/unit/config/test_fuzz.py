@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -67,6 +68,7 @@ def test_any_key_left_out(number: int) -> None:
         assert "is missing; add it" in message
 
 
+@pytest.mark.full
 @given(st.sampled_from(KEYED), NAMES)
 def test_any_stranger_is_named_with_its_line(number: int, name: str) -> None:
     section = next(line for line in reversed(LINES[:number]) if line.startswith("["))
@@ -97,6 +99,7 @@ def test_any_half_written_file(size: int) -> None:
         assert "[job]" in text
 
 
+@pytest.mark.full
 @given(st.dictionaries(st.lists(NAMES, min_size=1, max_size=3).map(".".join), st.integers() | st.text(), max_size=3))
 def test_any_override(overrides: dict[str, Any]) -> None:
     message = outcome(EXAMPLE, overrides)

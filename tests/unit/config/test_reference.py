@@ -18,6 +18,7 @@ def test_the_pages_are_what_the_models_give(name: str) -> None:
     assert (write.FOLDER / name).read_text() == write.pages()[name], "write them anew: make reference"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("table", "model"), TABLES, ids=[table for table, _ in TABLES])
 def test_every_key_says_what_it_means_and_in_which_unit(table: str, model: type[BaseModel]) -> None:
     for key in write.keys(model):

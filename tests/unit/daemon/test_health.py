@@ -95,6 +95,7 @@ async def test_a_disk_that_is_full_at_the_start_holds_before_anything_is_measure
         assert figures["memory_mb"]["fits"] is True
 
 
+@pytest.mark.full
 async def test_a_disk_that_runs_out_of_inodes_in_contact_is_left_as_a_full_one(bench: Bench, disk: Disk) -> None:
     async with Running(bench) as running:
         await running.in_contact()
@@ -114,6 +115,7 @@ async def test_no_free_inodes_at_the_start_hold_before_anything_is_measured(benc
         assert "metrology.next_map" not in bench.fake.events
 
 
+@pytest.mark.full
 async def test_a_file_system_that_counts_no_inodes_is_no_alarm(bench: Bench, disk: Disk) -> None:
     disk.free_inodes = disk.inodes = 0
     async with Running(bench) as running:

@@ -59,6 +59,7 @@ async def test_every_mandatory_node_of_jobs_and_results_is_there(tmp_path: Path,
             assert await missing(await inner(machine, "Cell"), kind), "something else lacks them"
 
 
+@pytest.mark.full
 async def test_the_jobs_are_told_with_their_states(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _are(machine, STATES))

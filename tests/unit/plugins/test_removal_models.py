@@ -258,6 +258,7 @@ def test_only_a_slow_matrix_of_wide_spots_gives_way() -> None:
     assert not removal_models.prefers_no_matrix(0.0, 0)
 
 
+@pytest.mark.full
 def test_where_no_effect_without_a_matrix_is_near_enough_it_is_one_and_says_why(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -201,6 +201,7 @@ class TestARun:
     def page(self, reported: Path) -> str:
         return (reported / "report.html").read_text()
 
+    @pytest.mark.full
     def test_it_opens_offline(self, page: str) -> None:
         assert not re.search(r"https?://|src=\"(?!data:)|@import|url\(|<script|<link", page)
 

@@ -83,6 +83,7 @@ def test_a_program_is_made_rewritten_and_read_back(name: str, encoding: str, tmp
     assert language_strayed(program, out.read_bytes()) == []
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", sorted(LANGUAGES))
 def test_times_go_from_speeds_to_waits_and_back(name: str, tmp_path: Path) -> None:
     profile = dialect(name)

@@ -180,12 +180,14 @@ def test_a_refusal_ends_the_study(tmp_path: Path) -> None:
         worked(tmp_path, cases("", "refuses", ""))
 
 
+@pytest.mark.full
 def test_other_versions_are_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "TARGET", f"{ODD}:start_with_other_versions")
     with pytest.raises(ConfigError, match=rf"other versions: scipy 0\.1 for {versions()['scipy']}; install the same"):
         worked(tmp_path, cases(""))
 
 
+@pytest.mark.full
 def test_a_worker_that_does_not_start_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "TARGET", f"{ODD}:start_in_vain")
     with pytest.raises(ConfigError, match="did not start: ended with exit code 1: ModuleNotFoundError"):

@@ -159,6 +159,7 @@ def test_a_study_counts_a_missing_numba_as_a_version(monkeypatch: Patch) -> None
     assert cases.versions.__wrapped__()["numpy"] == "1"
 
 
+@pytest.mark.full
 def test_the_solvers_load_numba_only_when_a_problem_is_large() -> None:
     """A start without what small parts and most verbs do not need."""
     code = "import sys, polishd.plugins.dwell_solvers, polishd.plugins.rnc_robot; sys.exit('numba' in sys.modules)"

@@ -141,6 +141,7 @@ def test_a_stopped_worker_uses_no_cpu_time(worker: WorkerProcess) -> None:
     awake.join()
 
 
+@pytest.mark.full
 def test_starting_does_not_count() -> None:
     with WorkerProcess(f"{TARGETS}:start_slowly", "the worker") as worker:
         assert worker.request({"do": "echo"}, limit=WorkerLimit(cpu_s=0.5))
@@ -172,6 +173,7 @@ def test_a_program_that_cannot_be_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert open_files() == before
 
 
+@pytest.mark.full
 def test_memory_is_limited_for_each_request(worker: WorkerProcess) -> None:
     large = {"do": "allocate", "bytes": 256 << 20}
     assert worker.request(large, limit=WorkerLimit(memory_bytes=64 << 20))[0]["refused"]

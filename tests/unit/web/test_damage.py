@@ -57,6 +57,7 @@ def damage(state: Path, value: bytes, instead: bytes) -> None:
     (state / JOURNAL_NAME).write_bytes(content.replace(value, instead))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("value", "instead", "table", "paths"), DAMAGES)
 def test_a_damaged_row_is_named_by_each_endpoint_that_reads_it(
     web: Served, value: bytes, instead: bytes, table: str, paths: tuple[str, ...]

@@ -48,6 +48,7 @@ def asked(draw: st.DrawFn) -> tuple[ApiRoute, str, Role | None, dict[str, Any]]:
     return route, path, draw(st.sampled_from([None, *Role])), body
 
 
+@pytest.mark.full
 @given(question=asked())
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_question_is_a_fault(web: Served, question: tuple[ApiRoute, str, Role | None, dict[str, Any]]) -> None:

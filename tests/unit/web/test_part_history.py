@@ -165,6 +165,7 @@ def test_a_part_has_its_passes_with_figures_approvals_and_files(web: Served) -> 
     assert web.ask("GET", "/api/jobs/1").json()["files"]["present"] is True
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("path", ["jobs/9", "jobs/9/cycles", "jobs/9/files/report.html"])
 def test_an_unknown_job_is_named(web: Served, path: str) -> None:
     three(web.config)
@@ -244,6 +245,7 @@ def test_links_out_of_the_run_folder_are_not_followed(web: Served, folder: Path,
     assert (files["pictures"], files["certificates"]) == (["heights.png"], [])
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "content",
     ["", "[", "[]", "{}", '{"schema": 7}', json.dumps({**CERTIFICATE, "seal": 3}), "[" * 100_000, '"\ud800"'],

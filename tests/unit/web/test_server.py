@@ -60,6 +60,7 @@ def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> 
         assert heard.count(b"event: state") >= 1
 
 
+@pytest.mark.full
 def test_one_user_holds_ten_streams_and_leaves_the_others_theirs(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))

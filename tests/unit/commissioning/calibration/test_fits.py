@@ -113,6 +113,7 @@ def test_held_out_tests_of_another_robot_are_told(polishd: Polishd, tmp_path: Pa
     assert doubt.startswith("the held-out tests are off by ")
 
 
+@pytest.mark.full
 def test_people_see_uncertainties_and_errors(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("calibrate", "stiffness", loading_tests(tmp_path / "t.csv", 40, 0.03, 3), "--cell", EXAMPLE)
     assert said.code == 0

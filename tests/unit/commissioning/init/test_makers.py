@@ -106,6 +106,7 @@ GIVEN = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("maker", GIVEN)
 def test_the_parts_frame_is_stated_in_the_makers_terms(tmp_path: Path, maker: str) -> None:
     key, values = GIVEN[maker]

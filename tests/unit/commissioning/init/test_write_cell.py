@@ -81,6 +81,7 @@ def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(t
     assert not {"part.id", "part.aperture_mm", "kinematics.tool_length_mm"} & set(shown["look"])
 
 
+@pytest.mark.full
 def test_a_cell_that_nobody_measured_has_no_correction_and_says_what_comes_next(tmp_path: Path) -> None:
     shown = init(tmp_path, LENS)
     assert load_config(tmp_path / "cell" / "cell.toml").process.correction == "none"

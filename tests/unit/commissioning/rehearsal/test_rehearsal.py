@@ -437,6 +437,7 @@ def test_an_option_that_would_be_dropped_is_refused(tmp_path: Path, options: lis
     assert [path.name for path in tmp_path.iterdir()] == ["lens.toml"]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("arguments", [[], ["--write-only"], ["sim.toml", "--out", "x"]])
 def test_out_and_write_only_go_with_a_cell(arguments: list[str]) -> None:
     assert CliRunner().invoke(app, ["sim", *arguments]).exit_code == 2

@@ -65,6 +65,7 @@ def ended(bench: Bench, *phases: str) -> list[str]:
 # the seat
 
 
+@pytest.mark.full
 async def test_the_seat_is_proved_at_three_places_before_contact_with_the_spindle_at_rest(bench: Bench) -> None:
     job = proving(bench)
     assert await bench.polish(job) is Outcome.CYCLES_USED
@@ -230,6 +231,7 @@ async def test_a_spindle_at_rest_may_read_a_little(bench: Bench) -> None:
     assert await bench.polish(proving(bench)) is Outcome.CYCLES_USED
 
 
+@pytest.mark.full
 async def test_cancelled_while_the_tool_is_down(bench: Bench) -> None:
     task = asyncio.ensure_future(bench.polish(proving(bench)))
     while LANDED not in bench.fake.events:  # noqa: ASYNC110  pytest's timeout is the limit

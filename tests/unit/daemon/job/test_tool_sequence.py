@@ -169,6 +169,7 @@ raise SystemExit(int(pathlib.Path({broken!r}).exists()))
 """
 
 
+@pytest.mark.full
 async def test_a_command_changes_the_tool_and_is_run_again_where_it_failed(bench: TwoTools, tmp_path: Path) -> None:
     log, broken = tmp_path / "log", tmp_path / "broken"
     broken.touch()

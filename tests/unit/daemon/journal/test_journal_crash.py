@@ -138,6 +138,7 @@ print("refused", refused)
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace makes the I/O errors")
 def test_io_error_of_the_disk_is_told_and_never_forgotten(tmp_path: Path) -> None:
     """After a failed fdatasync SQLite would accept the next insert although rows are lost."""

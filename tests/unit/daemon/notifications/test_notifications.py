@@ -205,6 +205,7 @@ async def test_what_waits_for_a_notifier_that_is_gone_is_told(
     assert waiting(site, "old") == ["in_tolerance"]
 
 
+@pytest.mark.full
 async def test_who_wants_nothing_has_no_folder(site: Site, notified_by: Any) -> None:
     notified_by()
     await run_cell(site.config, site.hooks)

@@ -293,6 +293,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's parent-death signal")
 def test_worker_does_not_outlive_a_killed_daemon() -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

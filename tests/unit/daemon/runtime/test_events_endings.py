@@ -296,6 +296,7 @@ async def test_a_device_that_did_not_confirm_is_named_when_no_daemon_runs_any_mo
     assert (left["state"], left["exit_code"]) == ("stopped", 1)
 
 
+@pytest.mark.full
 async def test_a_daemon_that_was_killed_left_word_of_what_it_was_doing(site: Site) -> None:
     async with asyncio.TaskGroup() as group:
         task = group.create_task(run_cell(site.config, site.hooks))

@@ -245,6 +245,7 @@ async def test_blocks_last_as_long_as_the_program_says_and_a_hold_counts_for_non
         assert found[-1].end_s - found[0].end_s == pytest.approx(moves[39][2] - moves[0][2], abs=0.3)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     "resource", ["execution", "opmode", "speedratio", "polishd_stop", "polishd_seen", "polishd_state"]
 )

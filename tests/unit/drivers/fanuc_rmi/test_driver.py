@@ -289,6 +289,7 @@ async def test_messages_are_json_lines_that_end_with_cr_lf(fake: FakeFanuc, robo
     assert sequences == [1, 2]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("pace", "slow"), [(1.0, False), (0.5, True)])
 async def test_half_speed_is_measured_while_the_controller_reports_full_speed(
     fake: FakeFanuc, robot: FanucRmi, pace: float, slow: bool

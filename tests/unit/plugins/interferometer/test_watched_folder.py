@@ -323,6 +323,7 @@ async def test_a_broken_record(make: Callable[..., WatchedFolder], tmp_path: Pat
         await make().open()
 
 
+@pytest.mark.full
 async def test_maps_from_before_the_pass_are_stale_only_after_a_pass(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
@@ -419,6 +420,7 @@ def of_part(make: Callable[..., WatchedFolder], part: str, **options: Any) -> Wa
     return device
 
 
+@pytest.mark.full
 async def test_an_unnamed_map_with_the_heights_of_another_parts_is_refused(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
@@ -441,6 +443,7 @@ async def test_an_unnamed_map_with_the_heights_of_another_parts_is_refused(
     assert (await of_part(make, "P-2").next_map(first.sha256)).path is not None
 
 
+@pytest.mark.full
 async def test_what_was_asked_for_the_last_part_is_not_asked_for_this_one(
     make: Callable[..., WatchedFolder], folder: Path, tmp_path: Path
 ) -> None:
@@ -463,6 +466,7 @@ async def test_what_was_asked_for_the_last_part_is_not_asked_for_this_one(
     assert (await of_part(make, "P-2", clock_tolerance_s=0).next_map(first.sha256)).sha256 != first.sha256
 
 
+@pytest.mark.full
 async def test_unnamed_maps_are_asked_to_be_new_once_one_was_taken(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:

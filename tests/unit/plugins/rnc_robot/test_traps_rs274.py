@@ -223,6 +223,7 @@ def test_a_new_time_is_written_in_the_old_style_and_nowhere_else(trap: Good) -> 
     assert rewrite(found, np.array([1.25])) == trap.rewritten
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("factor", [1e-3, 0.5, 1.7, 1e3])
 @pytest.mark.parametrize("trap", GOOD, ids=lambda trap: trap.name)
 def test_what_is_written_is_read_back(trap: Good, factor: float) -> None:

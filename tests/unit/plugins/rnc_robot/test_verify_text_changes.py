@@ -80,6 +80,7 @@ def test_a_line_end_that_is_missing_is_listed() -> None:
     assert kinds(BASE, BASE.removesuffix("\n")) == [("comment", 4, 4)]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("line", "same", "moved"),
     [

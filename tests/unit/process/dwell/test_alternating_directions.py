@@ -84,7 +84,7 @@ def test_where_steps_lead_nowhere_projected_newton_goes_on(monkeypatch: pytest.M
     assert 0.8 * spent_s < found.seconds <= spent_s, "both solvers' time"
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("pull", [0.1, 30.0])
 def test_too_weak_a_pull_is_noticed_and_too_strong_a_one_only_takes_longer(
     pull: float, monkeypatch: pytest.MonkeyPatch

@@ -47,6 +47,7 @@ def test_a_length_with_another_factor_is_refused() -> None:
         length(14)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("size", [(90, 60), (32, 32), (45, 75), (64, 30), (1, 8)])
 def test_a_field_has_the_spectrum_of_rfft2(size: tuple[int, int]) -> None:
     on, field = transform_plane(size), noise(*size).astype(np.float32)

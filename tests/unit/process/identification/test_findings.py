@@ -247,6 +247,7 @@ def test_a_pass_that_removes_nothing_uneven_shows_nothing() -> None:
     assert Passed(1, figure_nm=0.5).shows() == WearIndicators()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("seeds", [12, pytest.param(160, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])])
 def test_how_often_a_good_pass_shows_what_is_not_there(seeds: int) -> None:
     """At limits of 10 %, well below those shipped."""

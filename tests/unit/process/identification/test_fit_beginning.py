@@ -28,6 +28,7 @@ def begun(names: str, **truth: float) -> FloatArray:
     ]
 
 
+@pytest.mark.full
 def test_what_fits_begins_at_what_was_known() -> None:
     assert not begun("offset", rate=0.1, offset_x=0.1).any()
 

@@ -331,7 +331,7 @@ def test_mistakes_are_stopped_or_said_to_be_undecidable(count: int) -> None:
     assert named > 0.85 * sure > 0.35 * count
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 @pytest.mark.parametrize("count", COUNTS)
 def test_factors_are_stopped_or_said_to_be_undecidable(count: int, factor: float) -> None:

@@ -196,6 +196,7 @@ def test_a_spiral_has_the_ripple_of_a_raster_of_its_pitch() -> None:
     assert found.lines[0].period_mm == pytest.approx(pitch, rel=0.02)
 
 
+@pytest.mark.full
 def test_a_path_without_lines_has_one_figure_for_all_directions() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(-20, 20, (1600, 2))
@@ -208,6 +209,7 @@ def test_a_path_without_lines_has_one_figure_for_all_directions() -> None:
     assert 0.0 < found.rms_nm < float(height.std())
 
 
+@pytest.mark.full
 def test_a_wider_spot_of_the_same_volume_is_the_spot_of_the_high_value() -> None:
     lines = Lines(1.5)
     blocks, time_s = lines.blocks()
@@ -295,6 +297,7 @@ def test_lines_out_of_place_leave_what_lines_moved_at_random_leave(pitch_mm: flo
     assert found[0].period_mm == pytest.approx(1 / frequency[half], rel=0.05)
 
 
+@pytest.mark.full
 def test_a_tool_that_trails_lines_to_and_fro_leaves_twice_their_period() -> None:
     lines, lag_mm = Lines(1.5, slope=(1.0, 0.0)), 0.4
     found = by_cause(with_errors(lines, PathErrors(0.0, lag_mm=lag_mm)), "lag")
@@ -324,6 +327,7 @@ def test_a_lag_along_an_even_removal_or_lines_of_one_direction_leaves_nothing() 
     assert by_cause(found, "lag")[0].rms_high_nm < 1e-3
 
 
+@pytest.mark.full
 def test_a_path_without_lines_has_its_errors_too() -> None:
     points = np.random.default_rng(1).uniform(-20, 20, (1600, 2))
     n = len(points)

@@ -173,7 +173,7 @@ def on_part(optic: Optic, path: Program) -> tuple[SpotPath, CurvedContact]:
     return SpotPath(path, hertz_spot(BONNET, GRID.pitch_mm), BONNET, None, curved), curved
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(
     "kind", ["concave", *(pytest.param(kind, marks=pytest.mark.full) for kind in ("convex", "off axis"))]
 )

@@ -315,7 +315,7 @@ def test_a_robot_that_is_none_is_refused() -> None:
         fit_stiffness(dataclasses.replace(HYBRID, up_bending_n_mm2=-4.4), GOOD)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("level", [0.02, 60.0])
 def test_an_invented_level_to_start_from_changes_no_stiffness_that_the_tests_determine(level: float) -> None:
     """Cells are begun with an arm that is nearly rigid: what its stiffnesses were then must not show."""
@@ -333,6 +333,7 @@ def test_an_invented_level_to_start_from_changes_no_stiffness_that_the_tests_det
     assert fit.fitted.mean_percent < 1.5
 
 
+@pytest.mark.full
 def test_what_other_starts_find_as_good_is_said() -> None:
     """Loads along one line and few poses: only sums of joints show."""
     tests = load(UR5, 12, np.random.default_rng(4), 0.05)

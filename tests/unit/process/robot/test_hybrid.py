@@ -136,7 +136,7 @@ def moved_energy(robot: HybridRobot, pose: Pose, k: int, move: np.ndarray) -> tu
     return energy, centre + move[:3] + turn.apply(tip)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("robot", EXACT)
 def test_it_is_the_curvature_of_the_whole_structures_energy(robot: HybridRobot) -> None:
     """By finite differences over eight freedoms, and of where the tip goes; nothing is linearised by hand."""

@@ -95,6 +95,7 @@ def test_no_place_that_was_tried_is_better_and_errors_grow_with_the_removal() ->
     assert more.present.error_nm == pytest.approx(5 * found.present.error_nm, rel=1e-9)
 
 
+@pytest.mark.full
 def test_without_the_alignment_terms_less_is_left() -> None:
     piston, tilt, power = (
         search_placement(task(alignment=alignment), 1.0).present for alignment in ("piston", "tilt", "power")

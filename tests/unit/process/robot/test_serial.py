@@ -342,6 +342,7 @@ def test_a_pose_beyond_a_singular_one_is_taken_by_homes_branch_or_not_at_all() -
     np.testing.assert_allclose(serial_inverse_kinematics(own, tip[None], axis[None])[0], joints, rtol=0, atol=1e-9)
 
 
+@pytest.mark.full
 def test_elbow_and_wrist_bend_as_at_home_wherever_the_arm_goes() -> None:
     """Two singular poses on the way leave the determinant's sign unchanged: the sign does not determine the branch."""
     rng = np.random.default_rng(4)

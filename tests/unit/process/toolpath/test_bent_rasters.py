@@ -66,7 +66,7 @@ def test_the_check_for_crossings_finds_one() -> None:
     assert crossings(loop[:-1]) == 0
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("optic", [FLAT, OFF_AXIS])
 @pytest.mark.parametrize("name", APERTURES)
 def test_a_random_raster_covers_any_aperture_without_crossing(name: str, optic: Optic) -> None:
@@ -123,7 +123,7 @@ def test_lines_lie_denser_where_more_is_to_be_removed() -> None:
     assert lengths(points).sum() == pytest.approx(straight, rel=0.05)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("name", APERTURES)
 def test_an_adaptive_raster_covers_any_aperture_without_crossing(name: str) -> None:
     rng = np.random.default_rng(3)

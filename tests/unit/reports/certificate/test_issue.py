@@ -158,6 +158,7 @@ def test_hostile_names_are_text(whole_files: DemoFiles) -> None:
 # the verbs
 
 
+@pytest.mark.full
 def test_from_a_cell_with_its_key(polishd: Polishd, whole_files: DemoFiles, tmp_path: Path) -> None:
     assert polishd("certificate", "keygen", tmp_path / "shop.key", "--json").answer["private"] == str(
         tmp_path / "shop.key"

@@ -221,6 +221,7 @@ def test_no_secret_is_in_a_file_a_log_or_an_answer(web: Served, caplog: pytest.L
         )
 
 
+@pytest.mark.full
 def test_malicious_names_come_as_json_text_and_no_file_of_the_page_makes_markup_of_text(web: Served) -> None:
     """They are put on the page by textContent; the browser's test shows that nothing runs."""
     name = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"

@@ -134,6 +134,7 @@ def test_files_that_cannot_be_used_end_a_start_with_a_sentence_and_a_server_goes
     assert "\n" not in str(found.value)
 
 
+@pytest.mark.full
 def test_a_served_shop_takes_a_new_certificate_up_and_tells_of_it(house: Authority, tmp_path: Path) -> None:
     """As a process: the next connection is shown the new one, and the one that is open goes on."""
     from tests.unit.web.test_server import serving_verb

@@ -18,6 +18,7 @@ def put(folder: Path, content: bytes, name: str = "map.csv") -> Path:
     return path
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("separator", [",", ";", "\t", " ", " , ", "   "])
 @pytest.mark.parametrize("missing", ["nan", "No Data", "NaN", "N/A", "***", "null", "-1.#IND", "1.#QNAN", "nan(ind)"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])

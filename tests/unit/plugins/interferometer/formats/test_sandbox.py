@@ -59,6 +59,7 @@ def test_all_that_a_map_says_of_itself_arrives(tmp_path: Path) -> None:
     assert read(tmp_path, "half").part_id == "a\\udcffb"
 
 
+@pytest.mark.full
 def test_a_worker_that_a_file_has_taken_over_runs_nothing_in_the_daemon(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"broke the protocol|returned no valid map"):
         read(tmp_path, "pickle")

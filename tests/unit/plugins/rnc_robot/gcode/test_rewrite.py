@@ -143,6 +143,7 @@ def test_cut_anywhere(name: str, cut: Callable[[int], None]) -> None:
     check_all("rs274", TEXTS[name], SIZES, cut)
 
 
+@pytest.mark.full
 def test_cut_behind_every_byte(cut: Callable[[int], None]) -> None:
     """Each size of the first piece puts a cut between other two bytes: in words, in CR LF, before M2."""
     text = TEXTS["dwell, CRLF"]

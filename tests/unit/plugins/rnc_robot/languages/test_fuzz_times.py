@@ -137,6 +137,7 @@ PIECES = [
 ]  # fmt: skip
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("piece", PIECES)
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_no_text_takes_long(name: str, piece: bytes) -> None:

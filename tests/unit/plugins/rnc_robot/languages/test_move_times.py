@@ -150,6 +150,7 @@ def test_a_program_is_made_in_each_language_and_read_back(name: str, encoding: E
         assert not program.timing.stops[:-1].any()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("target", ENCODINGS)
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_waits_become_times_of_moves_and_waits_again(name: str, target: Encoding) -> None:
