@@ -30,7 +30,7 @@ from polishd.process.identification.findings import UNEXPLAINED, Forecast
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.metrology.conditioning import Masks
 from polishd.process.metrology.resampling import Registration
-from polishd.process.removal.ripple import NO_RIPPLE, Ripple
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple, sum_ripples
 
 # What a record is made of, arrays and facts, and both as the bytes of a file.
 
@@ -434,10 +434,12 @@ class PlanResult:
 
 def made_ripple(passes: Iterable[Mapping[str, Any]]) -> Ripple:
     """Return the ripple of passes that were made, from their facts; an interrupted pass counts as a whole one."""
-    ripple = NO_RIPPLE
-    for facts in passes:
-        ripple = ripple.plus(record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}))
-    return ripple
+    made = list(passes)
+    found = [record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}) for facts in made]
+    tools = {facts.get("tool") for facts in made}
+    if len(tools) > 1:  # where the spot of one leaves crests, that of another may leave valleys
+        found = [one.without_phase() for one in found]
+    return sum_ripples(found)
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:

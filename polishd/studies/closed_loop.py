@@ -52,7 +52,7 @@ from polishd.process.metrology.spectra import split_bands
 from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.measured_tif import tif_from_maps, volume_mm3_min
-from polishd.process.removal.ripple import NO_RIPPLE, Ripple
+from polishd.process.removal.ripple import Ripple, sum_ripples
 from polishd.process.robot import motion
 from polishd.programs.make import own_program
 from polishd.studies.plant_client import PlantProcess
@@ -218,8 +218,13 @@ class _Account:
     named: list[str] = field(default_factory=list)
     came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
-    ripple: Ripple = NO_RIPPLE
-    """Forecast of the passes made."""
+    ripples: list[Ripple] = field(default_factory=list)
+    """Forecast of each pass that was made."""
+
+    @property
+    def ripple(self) -> Ripple:
+        """Forecast of the passes made."""
+        return sum_ripples(self.ripples)
 
     def name(self, names: Iterable[str]) -> None:
         """Causes and findings, each once."""
@@ -397,7 +402,7 @@ class _Job:
             if small_gain_finding(recipe, planned.forecast):
                 return _Ended(Outcome.STALLED.value)
             last = (planned, *self._execute(plan))
-            account.ripple = account.ripple.plus(planned.ripple)
+            account.ripples.append(planned.ripple)
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
