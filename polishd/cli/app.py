@@ -216,6 +216,10 @@ def plan(
     program: Annotated[
         Path | None, Option(metavar="P.rnc", help="RNC program to rewrite (default: the cell's)")
     ] = None,
+    of_pass: Annotated[
+        int | None,
+        Option("--pass", min=1, metavar="N", help="Take the program of pass N, where several take turns (default: 1)"),
+    ] = None,
     out: Annotated[Path, Option(metavar="DIR", help="New folder for the plan")],
     correction: Correction = None,
     as_json: Json = False,
@@ -223,7 +227,7 @@ def plan(
     """Plan a pass without motion: figures, corrected dwell, rewritten program, certificate, pictures."""
     from polishd.cli.cell import plan_verb
 
-    plan_verb(cell, surface, program, out, correction, as_json=as_json)
+    plan_verb(cell, surface, program, out, correction, of_pass=of_pass, as_json=as_json)
 
 
 @app.command()

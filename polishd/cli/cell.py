@@ -17,7 +17,7 @@ from rich.table import Table
 from polishd.config.cell import load_config
 from polishd.daemon.assembly import build_notifiers
 from polishd.daemon.notifications.notifications import try_out
-from polishd.model.errors import DeviceFault, LinkError
+from polishd.model.errors import ConfigError, DeviceFault, LinkError
 from polishd.plugin_loader import DECLARATIONS, load_cell, load_own, plugins_of
 from polishd.rendering.terminal import emit, key_table, outcome_tables, record_table, say, stderr, stdout
 from polishd.util.extras import require_extra
@@ -28,14 +28,23 @@ if TYPE_CHECKING:
 
 
 def plan_verb(
-    cell: Path, surface: Path, program: Path | None, out: Path, correction: str | None, *, as_json: bool
+    cell: Path,
+    surface: Path,
+    program: Path | None,
+    out: Path,
+    correction: str | None,
+    *,
+    of_pass: int | None = None,
+    as_json: bool,
 ) -> None:
-    """Plan a pass of a part; ``program`` None: the cell's."""
+    """Plan a pass of a part; ``program`` None: the cell's, of that pass (None: of the first)."""
     from polishd.programs.plan import plan_part
 
+    if program is not None and of_pass is not None:
+        raise ConfigError("--pass: --program names the program already. Leave out one of them")
     config, hooks = load_cell(cell, correction)
     with stderr.status("solving the dwell"):
-        summary = plan_part(config, hooks, surface, program, out)
+        summary = plan_part(config, hooks, surface, program, out, of_pass=of_pass or 1)
     emit(summary, as_json=as_json, table=lambda: outcome_tables(summary))
     if not as_json:
         for note in summary["notes"]:

@@ -111,9 +111,18 @@ class CellConfig(ServedDocument):
         return [self.resolve(path) for path in self.program.dialects]
 
     @property
+    def program_paths(self) -> tuple[Path, ...]:
+        """The part programs of the tool, in the order in which they take turns from pass to pass."""
+        return tuple(map(self.resolve, self.program.paths))
+
+    @property
     def program_path(self) -> Path:
-        """The part program."""
-        return self.resolve(self.program.path)
+        """The part program of the first pass."""
+        return self.program_of_pass(1)
+
+    def program_of_pass(self, number: int) -> Path:
+        """The part program of a pass of the tool, counted from 1."""
+        return self.program_paths[(number - 1) % len(self.program_paths)]
 
     @property
     def profile_path(self) -> Path | None:
@@ -230,6 +239,7 @@ def consistent(config: CellConfig) -> CellConfig:
         *_wrong_signals(config),
         *_wrong_tolerance(config),
         *_wrong_tools(config),
+        *_wrong_programs(config),
     )
     if found := [str(config.error(key, problem)) for key, problem in wrong]:
         raise ConfigError("\n".join(found))
@@ -305,6 +315,17 @@ def _wrong_tools(config: CellConfig) -> Iterator[tuple[str, str]]:
     for name, tool in config.tools.items():
         if tool.position_mm is not None and config.touch_off is None:
             yield f"tools.{name}.position_mm", "needs [touch_off], which is missing; add it, or remove the line"
+
+
+def _wrong_programs(config: CellConfig) -> Iterator[tuple[str, str]]:
+    """Yield (key, problem) of programs that take turns."""
+    named = {f"tools.{name}.program": tool.program for name, tool in config.tools.items()}
+    for key, names in {"program.path": config.program.path, **named}.items():
+        if not isinstance(names, tuple):
+            continue
+        paths = [config.resolve(name).resolve() for name in names]
+        if twice := next((name for at, name in enumerate(names) if paths[at] in paths[:at]), None):
+            yield key, f"names {twice!r} twice; the programs take turns from pass to pass, so name each of them once"
 
 
 def _removed(config: CellConfig) -> Iterator[tuple[str, str]]:

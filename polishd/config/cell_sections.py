@@ -12,6 +12,7 @@ from polishd.config.fields import (
     Angle,
     Angles,
     ConfigSection,
+    FileNames,
     Name,
     NotNegative,
     OpticKeys,
@@ -211,8 +212,8 @@ class PartSection(OpticKeys):
 class ProgramSection(ConfigSection):
     """The part program, and the pose of its frame on the part: ``part = rotation_z @ program + offset``."""
 
-    path: Text
-    """The part program."""
+    path: FileNames
+    """The part program, or a list of programs that take turns from pass to pass (docs/how-to/paths.md)."""
     format: Text = "rs274"
     """Its dialect, as `polishd program dialects` lists them."""
     dialects: Texts = ()
@@ -223,6 +224,11 @@ class ProgramSection(ConfigSection):
     """Position of the program's origin on the part: `part = rotation_z(rotation_deg) @ program + offset`."""
     rotation_deg: Angle = 0.0
     """Rotation of the program's frame on the part, counter-clockwise."""
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """The programs in the order in which they take turns; one where `path` names one."""
+        return (self.path,) if isinstance(self.path, str) else self.path
 
 
 class MachineSection(ConfigSection):

@@ -78,6 +78,19 @@ def require_cells(wide_mm: float, high_mm: float, pitch_mm: float, key: str) -> 
 Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Text = Annotated[str, StringConstraints(min_length=1)]
 Texts = Annotated[tuple[Text, ...], BeforeValidator(as_tuple)]
+
+
+def _file_names(value: Any) -> Any:
+    """Check one file name, or a list of at least one: a union of types would report each of them."""
+    names = as_tuple(value)
+    listed = names if isinstance(names, tuple) else (names,)
+    if not listed or not all(isinstance(name, str) and name for name in listed):
+        raise ValueError('must be the name of a file, or a list of them, such as ["a.rnc", "b.rnc"]')
+    return names
+
+
+FileNames = Annotated[Text | tuple[Text, ...], BeforeValidator(_file_names)]
+"""One file, or several in order."""
 Positive = Annotated[float, Field(gt=0), AfterValidator(_not_tiny)]
 NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]

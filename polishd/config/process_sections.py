@@ -16,6 +16,7 @@ from polishd.config.fields import (
     Angle,
     ConfigSection,
     Dip,
+    FileNames,
     Force,
     NotNegative,
     Pair,
@@ -355,8 +356,8 @@ class ToolSection(ConfigSection):
     Keys that are left out have the values of `[process]`, `[kinematics]` and `[touch_off]`.
     """
 
-    program: Text | None = None
-    """The part program of its passes. Left out: `program.path`."""
+    program: FileNames | None = None
+    """The part program of its passes, or a list of programs that take turns. Left out: `program.path`."""
     passes: Annotated[int, Field(ge=1, le=100)] = 1
     """Number of its passes, each followed by a measurement, before the next tool. The last tool continues to the job's
     end. [1]"""

@@ -54,9 +54,8 @@ from polishd.model.program import Program
 from polishd.model.states import DaemonState
 from polishd.pipeline.acceptance import require_acceptable
 from polishd.pipeline.build_recipe import instrument_of, require_commissioned
-from polishd.pipeline.precheck import require_fit
+from polishd.pipeline.precheck import read_programs, require_fit
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.steps import read_program
 from polishd.plugin_loader import Hooks
 
 log = logging.getLogger(__name__)
@@ -210,7 +209,7 @@ class _Ready:
     """A cell whose files are read; only its state folder is locked, which ``kept`` releases."""
 
     run: CellRun
-    work: tuple[Sequence[Recipe], Sequence[Program]] | None
+    work: tuple[Sequence[Recipe], Sequence[Sequence[Program]]] | None
     """Recipes and programs of the cell's job, one for each tool; None if a queue is run."""
     cell: Cell
     notifiers: Sequence[Notifier]
@@ -277,16 +276,17 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool)
     return _Ready(run, work, cell, notifiers, journal, kept, context)
 
 
-def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Sequence[Recipe], Sequence[Program]]:
-    """Return recipe and program of each tool of the job in the cell's file."""
+def _own_work(config: CellConfig, hooks: Hooks) -> tuple[Sequence[Recipe], Sequence[Sequence[Program]]]:
+    """Return recipe and programs of each tool of the job in the cell's file."""
     recipes = read_recipes(config, hooks)
     require_commissioned(config, recipes[0].instrument)
     require_acceptable(recipes[0])
     programs = []
     for tool, recipe in zip(config.turns, recipes, strict=True):
-        programs.append(read_program(recipe, tool.program_path))
-        require_accepted_by_robot(tool, hooks, programs[-1])
-        require_fit(tool, recipe, programs[-1])
+        programs.append(read_programs(tool, recipe))
+        for program in programs[-1]:
+            require_accepted_by_robot(tool, hooks, program)
+            require_fit(tool, recipe, program)
     return recipes, programs
 
 
@@ -365,9 +365,9 @@ async def _serve(state_dir: Path, runner: JobRunner) -> dict[str, Any]:
     return summary
 
 
-def _journal(config: CellConfig, program: Program) -> Journal:
-    """Return the cell's journal; ConfigError if its job was begun with other settings."""
-    terms = terms_of(config, program.sha256)
+def _journal(config: CellConfig, programs: Sequence[Program]) -> Journal:
+    """Return the cell's journal; ConfigError if its job was begun with other settings, or with other programs."""
+    terms = terms_of(config, *(program.sha256 for program in programs))
     cell = Journal.of_cell(config.state_dir)
     try:
         if (other := Queue(cell.store).under_way()) is not None:

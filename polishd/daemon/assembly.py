@@ -39,10 +39,9 @@ from polishd.model.program import Program
 from polishd.model.states import Severity
 from polishd.pipeline.acceptance import require_acceptable
 from polishd.pipeline.build_recipe import instrument_of, make_recipes, require_commissioned
-from polishd.pipeline.precheck import require_fit
+from polishd.pipeline.precheck import read_programs, require_fit
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.run_folder import RunFolder
-from polishd.pipeline.steps import read_program
 from polishd.plugin_loader import Hooks, hooks_of_job
 from polishd.util.address_claims import KeptClaims
 
@@ -240,11 +239,18 @@ def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
     return make_recipes(config, hooks)
 
 
-def turns_of(config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Program]) -> tuple[ToolStepState, ...]:
+def turns_of(
+    config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Sequence[Program]]
+) -> tuple[ToolStepState, ...]:
     """Return the step of each tool; with several tools it reads the files that their keys name."""
     return tuple(
-        ToolStepState(recipe, program, contact_limits(own), terms_of(own, program.sha256) if config.tools else None)
-        for own, recipe, program in zip(config.turns, recipes, programs, strict=True)
+        ToolStepState(
+            recipe,
+            tuple(each),
+            contact_limits(own),
+            terms_of(own, *(program.sha256 for program in each)) if config.tools else None,
+        )
+        for own, recipe, each in zip(config.turns, recipes, programs, strict=True)
     )
 
 
@@ -252,14 +258,17 @@ def make_job(
     config: CellConfig,
     hooks: Hooks,
     recipes: Sequence[Recipe],
-    programs: Sequence[Program],
+    programs: Sequence[Sequence[Program]],
     *,
     journal: Journal,
     folder: RunFolder,
     compute: Compute,
     publish: Callable[[Event], None],
 ) -> Job:
-    """Make the job of that config; ``Job.load`` then restores the state of an earlier run."""
+    """Make the job of that config; ``Job.load`` then restores the state of an earlier run.
+
+    ``programs``: of each tool, in the order in which they take turns.
+    """
     return Job(
         ToolSequence(turns_of(config, recipes, programs), journal),
         journal=journal,
@@ -343,11 +352,12 @@ class JobMaker:
         require_acceptable(recipes[0])
         programs = []
         for tool, recipe in zip(config.turns, recipes, strict=True):
-            programs.append(await self.compute(read_program, recipe, tool.program_path))
-            await self.compute(require_fit, tool, recipe, programs[-1])
+            programs.append(await self.compute(read_programs, tool, recipe))
+            for program in programs[-1]:
+                await self.compute(require_fit, tool, recipe, program)
             require_stall_depth(tool, self.cell, recipe)
         require_time_limits(config, self.cell)
-        terms = await asyncio.to_thread(terms_of, config, programs[0].sha256)
+        terms = await asyncio.to_thread(terms_of, config, *(one.sha256 for one in programs[0]))
         queue.require_held(entry)  # otherwise the shop could assign this job to another cell
         own = journal.of_job(entry.name, entry.part_id, terms, queue.begin_row(entry))
         require_same(config, terms, own)

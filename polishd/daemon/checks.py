@@ -39,6 +39,7 @@ from polishd.daemon.runtime.process import host
 from polishd.interfaces import ForceActuator
 from polishd.model.devices import DeviceIdentity, port_of
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.model.program import Program
 from polishd.pipeline import disk_space, part_handling, precheck, steps
 from polishd.pipeline.acceptance import acceptance_words
 from polishd.pipeline.build_recipe import make_recipes, uncommissioned_reason
@@ -52,7 +53,7 @@ OnStep = Callable[[str], None]
 
 
 def check_cell(config: CellConfig, hooks: Hooks, on_step: OnStep = lambda _: None) -> dict[str, Any]:
-    """Read all files of the config and compute along each tool's program. Opens nothing; raises the first fault."""
+    """Read all files of the config and compute along each tool's programs. Opens nothing; raises the first fault."""
     on_step("part, tool and instrument")
     recipes = make_recipes(config, hooks)
     on_step("devices and their time limits")
@@ -63,9 +64,13 @@ def check_cell(config: CellConfig, hooks: Hooks, on_step: OnStep = lambda _: Non
     pits: list[tuple[StallRemoval, str]] = []
     for own, recipe in zip(config.turns, recipes, strict=True):
         of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
-        found, pit = _along(own, cell, hooks, recipe, on_step)
-        along |= {of_tool + key: value for key, value in found.items()}
-        pits.append((pit, pit.warning(tolerance_nm(recipe))))
+        on_step(f"reading {', '.join(path.name for path in own.program_paths)}")
+        programs = precheck.read_programs(own, recipe)
+        for number, program in enumerate(programs, 1):
+            of_turn = f"program {number}: " if len(programs) > 1 else ""
+            found, pit = _along(own, cell, hooks, recipe, program, on_step=on_step)
+            along |= {of_tool + of_turn + key: value for key, value in found.items()}
+            pits.append((pit, pit.warning(tolerance_nm(recipe))))
     pit, warning = max(pits, key=lambda one: one[0].removal_nm)
     included = ", ".join(f"{key} from {file}" for key, file in config.included.items())
     return {
@@ -90,15 +95,13 @@ def check_cell(config: CellConfig, hooks: Hooks, on_step: OnStep = lambda _: Non
 
 
 def _along(
-    config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, on_step: OnStep
+    config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, program: Program, *, on_step: OnStep
 ) -> tuple[dict[str, Any], StallRemoval]:
-    """Return facts of one tool's program, and the pit of a robot that stands on it."""
+    """Return facts of a program of one tool, and the pit of a robot that stands on it."""
     pit = require_stall_depth(config, cell, recipe)
-    on_step(f"reading {config.program_path.name}")
-    program = steps.read_program(recipe, config.program_path)
     require_accepted_by_robot(config, hooks, program)
     precheck.check_pass(config, recipe, program)
-    on_step(f"reach and removal at {program.n} points")
+    on_step(f"reach and removal at {program.n} points of {program.name}")
     answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))

@@ -355,6 +355,7 @@ class PlanAwaitingApproval(Event):
 
     name: ClassVar[str] = "plan_awaiting_approval"
     program_sha256: Annotated[str, "hash of its program"]
+    program: Annotated[str, "name of the program that it rewrites; empty if the tool has one"] = ""
     predicted_rms_nm: Annotated[float, "predicted RMS after the pass, nm"]
     dwell_s: Annotated[float, "planned time in contact, s"]
     figures: Annotated[
@@ -392,6 +393,7 @@ class PassStarted(Event):
         "`better`, of an improvement; null: not known",
     ] = None
     tool: Annotated[str, "the tool that polishes; empty if the cell has one tool"] = ""
+    program: Annotated[str, "name of the program of this pass; empty if the tool has one"] = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

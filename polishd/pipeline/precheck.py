@@ -11,7 +11,7 @@ import numpy as np
 
 from polishd.config.cell import CellConfig
 from polishd.hookspecs import RemovalAnswer
-from polishd.model.errors import ComputeError, PlanRefused
+from polishd.model.errors import ComputeError, PlanRefused, ProgramError
 from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray
 from polishd.pipeline import steps
@@ -142,6 +142,44 @@ MOST_OUTSIDE = 0.5
 
 Covers = Literal["aperture", "zone"]
 """Purpose of a program."""
+
+
+def read_programs(config: CellConfig, recipe: Recipe) -> tuple[Program, ...]:
+    """Read the programs of a tool, in the order in which they take turns from pass to pass.
+
+    Raises ProgramError, or ConfigError where two have the same content (their passes would not differ), or are for
+    different tools or frames of the controller (a cell states one pose of its programs on the part).
+    """
+    programs = tuple(steps.read_program(recipe, path) for path in config.program_paths)
+    first, *later = (_names_of_controller(recipe, program) for program in programs) if len(programs) > 1 else (b"",)
+    for number, program in enumerate(programs):
+        same = next((other for other in programs[:number] if other.sha256 == program.sha256), None)
+        if same is not None:
+            raise config.error(
+                "program.path",
+                f"{program.name} has the same content as {same.name}; programs take turns so that the lines of their "
+                "passes differ. Make one of them with another --phase or --seed, or remove it",
+            )
+    for program, names in zip(programs[1:], later, strict=True):
+        if names != first:
+            raise config.error(
+                "program.path",
+                f"{program.name} names another tool or frame of the controller than {programs[0].name}; programs that "
+                "take turns have one pose on the part. Write both for the same tool and frame",
+            )
+    return programs
+
+
+def _names_of_controller(recipe: Recipe, program: Program) -> bytes:
+    """A short program for the tool and the frame that the program names; empty where it, or its format, names none."""
+    if recipe.format.made_like is None:
+        return b""
+    try:
+        make = recipe.format.made_like(program.text, program.name).make
+    except ProgramError:
+        return b""
+    points, axes = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]] * 2)
+    return b"" if make is None else make(points, axes, 600.0, "sample")
 
 
 def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:

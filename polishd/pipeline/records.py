@@ -30,7 +30,7 @@ from polishd.process.identification.findings import UNEXPLAINED, Forecast
 from polishd.process.identification.removal_check import RemovalCheckResult
 from polishd.process.metrology.conditioning import Masks
 from polishd.process.metrology.resampling import Registration
-from polishd.process.removal.ripple import NO_RIPPLE, Ripple
+from polishd.process.removal.ripple import NO_RIPPLE, Ripple, sum_ripples
 
 # What a record is made of, arrays and facts, and both as the bytes of a file.
 
@@ -316,6 +316,16 @@ class SolveResult:
 
 
 @dataclass(frozen=True, slots=True)
+class ProgramTurn:
+    """The program of a pass, where several take turns."""
+
+    number: int
+    """Its place in `program.path`, from 1."""
+    name: str
+    """Name of its file."""
+
+
+@dataclass(frozen=True, slots=True)
 class PlanResult:
     """Record of a plan, for the learning step and the warm start of the next cycle.
 
@@ -351,12 +361,23 @@ class PlanResult:
     """Forecast for the next map; None: a pass of an earlier polishd."""
     tool: str = ""
     """Tool of the plan; empty: the cell has one tool."""
+    program: ProgramTurn | None = None
+    """Program of the plan; None: the tool has one."""
     figures: Mapping[str, Any] = field(default_factory=dict)
     """Figures of the plan for an operator (``PlanFigures``); empty: a pass of an earlier polishd, or not needed."""
 
     @classmethod
-    def of(cls, plan: Plan, solved: SolveResult, part: Program, forecast: Forecast, tool: str = "") -> Self:
-        """Record a plan from its solution, its program in the part's frame, its forecast, and its tool."""
+    def of(
+        cls,
+        plan: Plan,
+        solved: SolveResult,
+        part: Program,
+        forecast: Forecast,
+        tool: str = "",
+        *,
+        program: ProgramTurn | None = None,
+    ) -> Self:
+        """Record a plan from its solution, its program in the part's frame, its forecast, its tool and its turn."""
         dwell, answer = solved.dwell, solved.answer
         return cls(
             certificate=dwell.certificate,
@@ -377,6 +398,7 @@ class PlanResult:
             curve_nm=np.array([row["rms_nm"] for row in solved.curve]),
             forecast=replace(forecast, floor_nm=dwell.certificate.floor_nm),
             tool=tool,
+            program=program,
         )
 
     @property
@@ -400,8 +422,10 @@ class PlanResult:
         total = {"predicted_rms_nm": self.predicted_rms_nm, "dwell_s": float(self.expected_s.sum())}
         expected = None if self.forecast is None else self.forecast.facts()
         tool = {"tool": self.tool} if self.tool else {}
+        turn = {} if self.program is None else {"program": asdict(self.program)}
         shown = {"plan_figures": dict(self.figures)} if self.figures else {}
-        return {"certificate": certificate, **total, "forecast": expected, **tool, **shown, **self.believed.facts()}
+        known = {"certificate": certificate, **total, "forecast": expected}
+        return {**known, **tool, **turn, **shown, **self.believed.facts()}
 
     def start(self) -> Arrays:
         """A separate file of the store, small compared with the plan's."""
@@ -428,16 +452,20 @@ class PlanResult:
         expected = facts.get("forecast")
         rest["forecast"] = None if expected is None else record_of(Forecast, expected)
         rest["tool"] = facts.get("tool", "")
+        turn = facts.get("program")
+        rest["program"] = None if turn is None else record_of(ProgramTurn, turn)
         rest["figures"] = facts.get("plan_figures", {})
         return record_of(cls, {}, {**arrays, **rest, "believed": EstimatesInUse.load(facts, initial)})
 
 
 def made_ripple(passes: Iterable[Mapping[str, Any]]) -> Ripple:
     """Return the ripple of passes that were made, from their facts; an interrupted pass counts as a whole one."""
-    ripple = NO_RIPPLE
-    for facts in passes:
-        ripple = ripple.plus(record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}))
-    return ripple
+    made = list(passes)
+    found = [record_of(Ripple, (facts.get("forecast") or {}).get("ripple") or {}) for facts in made]
+    tools = {facts.get("tool") for facts in made}
+    if len(tools) > 1:  # where the spot of one leaves crests, that of another may leave valleys
+        found = [one.without_phase() for one in found]
+    return sum_ripples(found)
 
 
 def tolerated_nm(facts: Mapping[str, Any]) -> float:

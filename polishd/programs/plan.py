@@ -63,10 +63,13 @@ class _Pass:
         return {**turn, **figures(self.measured.facts(), self.planned.facts()), "executed_s": None}
 
 
-def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path | None, out: Path) -> dict[str, Any]:
+def plan_part(
+    config: CellConfig, hooks: Hooks, map_path: Path, program_path: Path | None, out: Path, *, of_pass: int = 1
+) -> dict[str, Any]:
     """Write map figures, corrected dwell, rewritten program, certificate and pictures to ``out``; return the summary.
 
-    With several tools, each has a subfolder. ``program_path``: another program than the cell's.
+    With several tools, each has a subfolder. ``program_path``: another program than the cell's. ``of_pass``: with the
+    program of that pass of each tool, where several take turns.
     ``out`` appears complete or not at all. Raises ConfigError where it exists and is not empty, or cannot be written,
     SurfaceError, ProgramError, ComputeError, or PlanRefused with every violation.
     """
@@ -75,7 +78,7 @@ def plan_part(config: CellConfig, hooks: Hooks, map_path: Path, program_path: Pa
     recipes = make_recipes(config, hooks)
     if len(recipes) > 1 and program_path is not None:
         raise config.error("tools", "each tool has its own program: remove the program from the command line")
-    paths = [own.program_path if program_path is None else program_path for own in config.turns]
+    paths = [own.program_of_pass(of_pass) if program_path is None else program_path for own in config.turns]
     surface = read_map(map_path, hooks.surface_readers().values())
     notes = _require_part(surface, config.part.id, map_path)
     recipe = recipes[0]

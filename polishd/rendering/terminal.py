@@ -122,11 +122,14 @@ def cycle_table(summary: Mapping[str, Any]) -> Table:
         table.add_column(name, justify="right")
     if tools := any(cycle.get("tool") for cycle in summary["cycles"]):
         table.add_column("tool")
+    if programs := any(cycle.get("program") for cycle in summary["cycles"]):
+        table.add_column("program")
     if interrupted := any(map(_interruption, summary["cycles"])):
         table.add_column("pass")
     for number, cycle in enumerate(summary["cycles"]):
         figures = [_figure(cycle.get(key), 3 if key == "rate" else 2) for key in columns]
         tool = [cycle.get("tool") or ""] if tools else []
+        tool += [cycle.get("program") or ""] if programs else []
         table.add_row(str(number), *figures, *tool, *([_interruption(cycle)] if interrupted else []))
     return table
 

@@ -318,7 +318,9 @@ def cycle_sections(folder: RunFolderReader, index: int, album: Album) -> list[Do
     if not folder.planned:
         _draw_maps(cycle, after, album)
     _draw_path(folder, index, album)
-    title = "Plan" if folder.planned else f"{wording.pass_after(rows, index)} ({cycle.name})"
+    program = rows[index].get("program") if index < len(rows) else None  # where several take turns
+    of_program = f" with {program}" if program else ""
+    title = "Plan" if folder.planned else f"{wording.pass_after(rows, index)}{of_program} ({cycle.name})"
     tables = [] if cycle.certificate is None else [Table((), certificate_rows(cycle.certificate))]
     return [
         DocumentSection(title, pictures=album.take()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -37,8 +37,17 @@ from polishd.pipeline.decisions import (
     small_gain_finding,
 )
 from polishd.pipeline.dwell_step import require_certificate
+from polishd.pipeline.precheck import read_programs
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.records import EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, PlanResult, SolveResult
+from polishd.pipeline.records import (
+    EstimatesInUse,
+    ExecutedPass,
+    LearnResult,
+    MeasureResult,
+    PlanResult,
+    ProgramTurn,
+    SolveResult,
+)
 from polishd.plugin_loader import Hooks, plugins_of
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read
@@ -52,7 +61,7 @@ from polishd.process.metrology.spectra import split_bands
 from polishd.process.removal.contact import relative_removal
 from polishd.process.removal.dynamic_tif import lean_azimuth_rad
 from polishd.process.removal.measured_tif import tif_from_maps, volume_mm3_min
-from polishd.process.removal.ripple import NO_RIPPLE, Ripple
+from polishd.process.removal.ripple import Ripple, sum_ripples
 from polishd.process.robot import motion
 from polishd.programs.make import own_program
 from polishd.studies.plant_client import PlantProcess
@@ -218,8 +227,13 @@ class _Account:
     named: list[str] = field(default_factory=list)
     came_nm: list[tuple[float, float, float]] = field(default_factory=list)
     true_fits: bool = False
-    ripple: Ripple = NO_RIPPLE
-    """Forecast of the passes made."""
+    ripples: list[Ripple] = field(default_factory=list)
+    """Forecast of each pass that was made."""
+
+    @property
+    def ripple(self) -> Ripple:
+        """Forecast of the passes made."""
+        return sum_ripples(self.ripples)
 
     def name(self, names: Iterable[str]) -> None:
         """Causes and findings, each once."""
@@ -269,7 +283,7 @@ class ClosedLoop:
         poses: Poses = (),
         learns: bool = True,
     ) -> None:
-        """Read the cell's file with a loop's own values, and its program or a raster. ConfigError, ProgramError.
+        """Read the cell's file with a loop's own values, and its programs or a raster. ConfigError, ProgramError.
 
         ``witness``: start value from a spot that the same machine made on another part; ``poses``: of the part in maps
         before the first pass, which measure the instrument's error; ``learns``: update the estimates after each pass.
@@ -282,7 +296,7 @@ class ClosedLoop:
         self._hooks = plugins_of(self.config)
         self._hooks.report.require()
         self._recipe = make_recipe(self.config, self._hooks)
-        self._program = self._raster() if raster else _timed_by_feeds(self.config, self._recipe)
+        self._programs = (self._raster(),) if raster else _timed_by_feeds(self.config, self._recipe)
 
     def _raster(self) -> Program:
         text = own_program(self.config, f"raster over {self.config.outline()}")
@@ -324,7 +338,7 @@ class ClosedLoop:
         """Return the recipe and the estimate before the first pass: as configured, or from a witness. ComputeError."""
         recipe = self._recipe
         if self._witness == "touch":
-            touch = replace(self._job(_remembering(as_touched(recipe)), plant, account), program=self._touch)
+            touch = replace(self._job(_remembering(as_touched(recipe)), plant, account), programs=(self._touch,))
             taught, why = touch.teach()
             account.rms_nm.clear()  # on the witness part
             account.true_rms_nm.clear()
@@ -334,7 +348,7 @@ class ClosedLoop:
             return _remembering(recipe), later
         if self._witness:
             job = self._job(recipe, plant, _Account())
-            witness = polish_witness(plant, recipe, self._program, job.map)
+            witness = polish_witness(plant, recipe, self._programs[0], job.map)
             if self._witness == "rate":
                 return _remembering(recipe), witness.rate(recipe)
             recipe = witness.spot(recipe, self._hooks.removal_models()["measured_tif"])
@@ -346,7 +360,7 @@ class ClosedLoop:
         return plan_touch(self.config, as_touched(self._recipe), WANTED, TOUCH_S).program
 
     def _job(self, recipe: Recipe, plant: PlantProcess, account: _Account) -> _Job:
-        return _Job(recipe, self._program, self._hooks, self.config.part.id, self.passes, self._learns, plant, account)
+        return _Job(recipe, self._programs, self._hooks, self.config.part.id, self.passes, self._learns, plant, account)
 
 
 @dataclass(frozen=True, slots=True)
@@ -354,7 +368,8 @@ class _Job:
     """One job on one plant."""
 
     recipe: Recipe
-    program: Program
+    programs: tuple[Program, ...]
+    """They take turns from pass to pass."""
     hooks: Hooks
     part_id: str
     passes: int
@@ -364,7 +379,7 @@ class _Job:
 
     def polish(self, believed: EstimatesInUse) -> _Ended:
         """As the daemon's cycle (``polishd.daemon.cycle``): measure, estimate, accept, solve, plan, run."""
-        recipe, program, account = self.recipe, self.program, self.account
+        recipe, account = self.recipe, self.account
         series, shown = PassSeries(""), []
         before: MeasureResult | None = None
         last: _Executed | None = None
@@ -390,20 +405,23 @@ class _Job:
                     return _Ended(decision.outcome.value)
                 case AnotherPass():
                     pass
-            solved = dwell_step.solve(recipe, program, surface, believed, None if last is None else last[0].kept)
+            turn = _turn(self.programs, 0 if last is None else _number(last[0]))
+            program = self.programs[turn.number - 1]
+            warm = None if last is None or len(self.programs) > 1 else last[0].kept
+            solved = dwell_step.solve(recipe, program, surface, believed, warm)
             require_certificate(solved.dwell.certificate, recipe)
             plan = steps.rewrite(recipe, program, solved, program.name)
-            planned = self._planned(plan, solved, surface)
+            planned = replace(self._planned(plan, solved, surface), program=turn)
             if small_gain_finding(recipe, planned.forecast):
                 return _Ended(Outcome.STALLED.value)
             last = (planned, *self._execute(plan))
-            account.ripple = account.ripple.plus(planned.ripple)
+            account.ripples.append(planned.ripple)
             account.predicted_nm.append(solved.dwell.certificate.predicted_rms_nm)
             before = surface
 
     def teach(self) -> tuple[LearnResult, str]:
         """Run one pass; return the update from it, and why the operator must check it first; "" else."""
-        recipe, program, before = self.recipe, self.program, self._measured(None)
+        recipe, program, before = self.recipe, self.programs[0], self._measured(None)
         believed = steps.initial_estimates(recipe)
         solved = dwell_step.solve(recipe, program, before, believed)
         plan = steps.rewrite(recipe, program, solved, program.name)
@@ -469,7 +487,7 @@ class _Job:
         planned, executed_s, acting_s = last
         expected_nm = planned.certificate.predicted_rms_nm
         done = ExecutedPass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast, again)
-        return steps.learn(self.recipe, self.program, done, believed)
+        return steps.learn(self.recipe, self.programs[_number(planned) - 1], done, believed)
 
     def _planned(self, plan: Plan, solved: SolveResult, surface: MeasureResult) -> PlanResult:
         vetoes = [*steps.violations(self.recipe, plan), *self.hooks.check_plan(plan, self.recipe.envelope)]
@@ -500,7 +518,7 @@ def _remembering(recipe: Recipe) -> Recipe:
     last: list[tuple[tuple[Any, ...], RemovalAnswer]] = []
 
     def effect(request: RemovalRequest) -> RemovalAnswer:
-        key = (request.grid, request.correction, request.rate, request.beliefs)  # a loop has only one program
+        key = (request.program.sha256, request.grid, request.correction, request.rate, request.beliefs)
         if not last or last[0][0] != key:
             last[:] = [(key, model.effect(request))]
         return last[0][1]
@@ -508,8 +526,19 @@ def _remembering(recipe: Recipe) -> Recipe:
     return replace(recipe, model=replace(model, effect=effect))
 
 
-def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> Program:
-    program = steps.read_program(recipe, config.program_path)
-    if program.encoding == "dwell":
-        raise ComputeError(f"{program.name}: dwells at rest. Study a loop with a program whose feeds are its times")
-    return program
+def _turn(programs: Sequence[Program], before: int) -> ProgramTurn:
+    """Return the program that follows the one of that number; 0: the first."""
+    number = before % len(programs) + 1
+    return ProgramTurn(number, programs[number - 1].name)
+
+
+def _number(planned: PlanResult) -> int:
+    return 1 if planned.program is None else planned.program.number
+
+
+def _timed_by_feeds(config: CellConfig, recipe: Recipe) -> tuple[Program, ...]:
+    programs = read_programs(config, recipe)
+    for program in programs:
+        if program.encoding == "dwell":
+            raise ComputeError(f"{program.name}: dwells at rest. Study a loop with a program whose feeds are its times")
+    return programs

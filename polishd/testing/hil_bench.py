@@ -228,6 +228,7 @@ class HilBench:
             yield "all of them", f"the job of {self.config.path.name}", self._polishes()
 
     def _polishes(self) -> str:
+        # a cycle is the first pass of a job
         return (
             f"last of all ONE CYCLE: the part is measured, POLISHED along {self.config.program_path.name} with "
             f"{self.scope().force_n:g} N and {self.config.process.rpm:g} rpm, and measured"

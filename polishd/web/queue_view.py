@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 import time
@@ -60,7 +61,7 @@ class QueueView:
         """Return the jobs to do, the last ended ones, the number of ended ones, and programs of those that ran."""
         last = f"ended IS NOT NULL ORDER BY ended DESC, id DESC LIMIT {ENDED_SHOWN}"
         programs = (
-            f"SELECT job, json_extract(files, '$.\"{PROGRAM}\".sha256') FROM queue "  # noqa: S608 - our own words
+            f"SELECT job, json_extract(files, '$.\"{PROGRAM}\"') FROM queue "  # noqa: S608 - our own words
             f"WHERE ended IS NOT NULL AND job IS NOT NULL ORDER BY ended DESC LIMIT {TYPICAL_OF}"
         )
         with read_only(self._config.state_dir) as journal:
@@ -71,7 +72,8 @@ class QueueView:
 
             to_do = [{**one, "files": json.loads(one["files"])} for one in jobs(TO_DO)]
             ((total,),) = journal.execute("SELECT count(*) FROM queue WHERE ended IS NOT NULL")
-            return to_do, jobs(last), total, journal.execute(programs).fetchall()
+            ran = [(job, _hash_of(json.loads(text or "null"))) for job, text in journal.execute(programs)]
+            return to_do, jobs(last), total, ran
 
     def _job(self, one: Mapping[str, Any], done: Iterable[tuple[int, str | None]]) -> dict[str, Any]:
         typical = self._history.typical_s(job for job, program in done if program == _program(one["files"]))
@@ -125,7 +127,7 @@ def job_details(config: CellConfig, files: Mapping[str, Any]) -> dict[str, Any]:
         "form": part.form,
         "tolerance": [{"what": line.what, "limit": line.limit, "unit": line.unit} for line in config.lines],
         "accept_by": job.accept_by,
-        "program": Path(program.path).name,
+        "program": ", ".join(Path(path).name for path in program.paths),
         "program_format": program.format,
         "program_sha256": _program(files),
         "force_n": process.force_n,
@@ -141,8 +143,18 @@ def job_details(config: CellConfig, files: Mapping[str, Any]) -> dict[str, Any]:
 
 def _program(files: Mapping[str, Any]) -> str | None:
     """Return the SHA-256 of the job's own program; None: it has that of the cell."""
-    found = files.get(PROGRAM)
-    return str(found["sha256"]) if isinstance(found, dict) else None
+    return _hash_of(files.get(PROGRAM))
+
+
+def _hash_of(named: Any) -> str | None:
+    """Return the SHA-256 of a file of the journal; of several, that of their hashes in order."""
+    match named:
+        case {"sha256": sha256}:
+            return str(sha256)
+        case [*several] if several:
+            return hashlib.sha256(" ".join(str(one["sha256"]) for one in several).encode()).hexdigest()
+        case _:
+            return None
 
 
 def _ended(one: Mapping[str, Any]) -> dict[str, Any]:

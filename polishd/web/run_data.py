@@ -256,7 +256,7 @@ class RunData:
 def _pass(row: tuple[Any, ...]) -> dict[str, Any]:
     _, facts, started, ended, how, program = row
     known = json.loads(facts)
-    wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "findings", "plan_figures")
+    wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "program", "findings", "plan_figures")
     contact_s = (known.get("shown") or {}).get("contact_s")
     values = {"program_sha256": program, "contact_s": contact_s, **{key: known.get(key) for key in wanted}}
     return {"began_s": started, "ended_s": ended, "how": how or "begun", **values}

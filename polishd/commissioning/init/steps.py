@@ -65,10 +65,13 @@ def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     lines = ", ".join(map(str, look))
     found = f"{len(look)} values, below the lines {lines}" if look else "nothing is marked as assumed"
     yield SetupStep("check the assumed values", not look, found, f"$EDITOR {cell}")
-    made = config.program_path.is_file()
-    path = _quoted(file.parent / config.program.path)
-    command = f"polishd program make raster --out {path} --cell {cell}"
-    yield SetupStep("have a program", made, path if made else f"{path}: is missing", command)
+    missing = [name for name in config.program.paths if not config.resolve(name).is_file()]
+    path = _quoted(file.parent / (missing or config.program.paths)[0])
+    # a program after the first one runs between its lines
+    phase = " --phase 0.5" if missing and missing[0] != config.program.paths[0] else ""
+    command = f"polishd program make raster --out {path} --cell {cell}{phase}"
+    have = ", ".join(_quoted(file.parent / name) for name in config.program.paths)
+    yield SetupStep("have a program", not missing, f"{path}: is missing" if missing else have, command)
     yield SetupStep(CHECK, None, "leaves no file; repeat it after each change", f"polishd check {cell}")
     ran = any(of["outcome"] != FAILED for of in runs.values())
     answered = "a run used the devices" if ran else "leaves no file; probe the devices"

@@ -15,7 +15,7 @@ from polishd.config.process_sections import LIMITS_OF_PROCESS
 from polishd.daemon.contact.stall_removal import excess_map
 from polishd.daemon.job import initial_estimates
 from polishd.daemon.job.run_folder_writer import RunFolderWriter
-from polishd.daemon.job.tool_sequence import ToolSequence, tool_of
+from polishd.daemon.job.tool_sequence import ToolSequence, program_turn_of, tool_of
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord, MapRecord, PassRecord
 from polishd.daemon.runtime.compute import Compute
@@ -58,15 +58,24 @@ from polishd.process.robot.motion import executed_s
 def cycle_entries(journal: Journal, *, several_tools: bool) -> list[dict[str, Any]]:
     """Return one entry a measurement. Values of the pass after it are None where there was none."""
     passes = {record.cycle: record for record in journal.passes}
-    return [_entry(journal, record, passes.get(record.cycle), several_tools) for record in journal.history]
+    take_turns = any(program_turn_of(record.facts) for record in passes.values())
+    return [
+        _entry(journal, record, passes.get(record.cycle), several_tools=several_tools, take_turns=take_turns)
+        for record in journal.history
+    ]
 
 
-def _entry(journal: Journal, measured: MapRecord, run: PassRecord | None, several_tools: bool) -> dict[str, Any]:
+def _entry(
+    journal: Journal, measured: MapRecord, run: PassRecord | None, *, several_tools: bool, take_turns: bool
+) -> dict[str, Any]:
     tool = {"tool": None if run is None else tool_of(run.facts)}
+    turn = None if run is None else program_turn_of(run.facts)
+    program = {"program": None if turn is None else turn.name}
     return {
         **figures(measured.stats, None if run is None else run.facts),
         "how": None if run is None else run.how or "begun",
         **(tool if several_tools else {}),
+        **(program if take_turns else {}),
         "executed_s": None if run is None else journal.contact_s(run.cycle),
         "uncertain": None if run is None else [[a, end - 1] for a, end in journal.uncertain(run.cycle)],
         "found": [] if run is None else [one["what"] for one in run.facts.get("findings", ())],
@@ -173,7 +182,7 @@ class Job:
 
     @property
     def program(self) -> Program:
-        """Part program of the current tool."""
+        """Part program of the next pass, or of the pass under way."""
         return self.tools.now.program
 
     @property
@@ -274,7 +283,9 @@ class Job:
     async def solve(self, cycle: int, surface: MeasureResult) -> SolveResult:
         """Return the dwell with its certificate, and write it to the run folder."""
         last = self._planned.get(cycle - 1)
-        warm = last.kept if last is not None and last.tool == self.tool else None
+        turn = self.tools.now.turn
+        # a warm start is of points and tool; with another program the solver starts anew
+        warm = last.kept if last is not None and (last.tool, last.program) == (self.tool, turn) else None
         within = {"within_s": dwell_step.limit(self.recipe)}
         solved = await self.compute(dwell_step.solve_first, self.tools.to_solve(), surface, warm, **within)
         await self.writer.keep(self.folder.cycle(cycle).write, solved.files())
@@ -285,7 +296,8 @@ class Job:
         """Return the rewritten program. Arrays for the next cycle go to the store, files to the run folder."""
         plan = await self.compute(steps.rewrite, self.recipe, self.program, solved, self.program.name)
         expected = await self.compute(forecast_of, self.recipe, surface, plan, solved.believed, solved.answer.acting)
-        planned = PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected, self.tool)
+        part, turn = steps.in_part_frame(self.recipe, plan.program), self.tools.now.turn
+        planned = PlanResult.of(plan, solved, part, expected, self.tool, program=turn)
         figures = await asyncio.to_thread(plan_figures, self.recipe, surface, solved, plan, planned)
         planned = replace(planned, figures=figures.facts())
         files, store = await asyncio.to_thread(planned.files), self.journal.arrays
@@ -301,6 +313,7 @@ class Job:
         return events.PlanAwaitingApproval(
             cycle=cycle,
             program_sha256=plan.program.sha256,
+            program=_turn_name(planned),
             predicted_rms_nm=planned.predicted_rms_nm,
             dwell_s=plan.total_s,
             figures=planned.figures,
@@ -350,7 +363,7 @@ class Job:
             reach_s=reach_s,
         )
         values = {"blocks": plan.contact_blocks, "dwell_s": plan.total_s, "forecast": planned.facts()["forecast"]}
-        self.publish(events.PassStarted(cycle=cycle, tool=self.tool, **values))
+        self.publish(events.PassStarted(cycle=cycle, tool=self.tool, program=_turn_name(planned), **values))
 
     def executed(self, cycle: int, records: Sequence[BlockRecord]) -> None:
         """Record blocks that the robot executed while the tool was on the part, or may have been."""
@@ -406,6 +419,10 @@ class Job:
     def _plan_of(self, record: PassRecord) -> PlanResult:
         get = self.journal.arrays.get
         return PlanResult.load(get(record.plan), get(record.start), record.facts, self.recipe.model.beliefs)
+
+
+def _turn_name(planned: PlanResult) -> str:
+    return "" if planned.program is None else planned.program.name
 
 
 def _refuse_unsafe(job: Job, plan: Plan) -> None:

@@ -80,13 +80,18 @@ def may_change(key: str) -> bool:
     return next((rule.may_change for rule in RULES if any(fnmatchcase(key, one) for one in rule.keys)), False)
 
 
-def terms_of(config: CellConfig, program_sha256: str) -> dict[str, Any]:
+def terms_of(config: CellConfig, *program_sha256: str) -> dict[str, Any]:
     """Return all effective values by dotted key, JSON-ready.
 
-    A file is ``{"file", "sha256"}``; the hash of the program is that of the text that was read.
+    A file is ``{"file", "sha256"}``; the hashes of the (first tool's) programs are those of the texts that were read.
     """
     terms = dict(_flat(config.effective())) | file_terms(config, (*FILES, *tool_files(config.tools)))
-    terms["program.path"]["sha256"] = program_sha256
+    named = terms["program.path"]
+    if not isinstance(named, list):
+        named["sha256"] = program_sha256[0]
+    elif config.turns[0].program.paths == config.program.paths:  # those of the first tool
+        for file, sha256 in zip(named, program_sha256, strict=True):
+            file["sha256"] = sha256
     return terms
 
 

@@ -1,11 +1,14 @@
-"""Tools of a job: the current one, and the estimates of each. Both come from the journal."""
+"""Tools of a job, and the programs of each that take turns: the current ones, and the estimates of each tool.
+
+All come from the journal.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from polishd.daemon.contact.safety import ContactLimits
@@ -16,19 +19,36 @@ from polishd.model.events import ToolMounted
 from polishd.model.program import Program
 from polishd.pipeline.dwell_step import ToolProblem
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.records import EstimatesInUse
+from polishd.pipeline.records import EstimatesInUse, ProgramTurn
 from polishd.pipeline.steps import initial_estimates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolStepState:
-    """Recipe, program and limits of one tool of a job."""
+    """Recipe, programs and limits of one tool of a job."""
 
     recipe: Recipe
-    program: Program
+    programs: tuple[Program, ...]
+    """Its programs, which take turns from pass to pass."""
     contact: ContactLimits
     terms: Mapping[str, Any] | None = None
     """Terms of a job with this tool alone, to which its estimates belong. None: the journal's."""
+    index: int = 0
+    """Of the current program."""
+
+    @property
+    def program(self) -> Program:
+        """The current program."""
+        return self.programs[self.index]
+
+    @property
+    def turn(self) -> ProgramTurn | None:
+        """The current program among several; None where the tool has one."""
+        return ProgramTurn(self.index + 1, self.program.name) if len(self.programs) > 1 else None
+
+    def of_pass(self, before: int) -> ToolStepState:
+        """Return the step of the pass that follows so many complete passes of the tool."""
+        return replace(self, index=before % len(self.programs))
 
     @property
     def tool(self) -> str:
@@ -43,7 +63,7 @@ class ToolSequence:
         self._turns = tuple(turns)
         self._journal = journal
         self.now = self._turns[0]
-        """The current tool."""
+        """The current tool, with its current program."""
         self._estimates = {turn.tool: initial_estimates(turn.recipe) for turn in turns}
 
     @property
@@ -58,7 +78,13 @@ class ToolSequence:
     @property
     def left(self) -> tuple[ToolStepState, ...]:
         """The tools after this one."""
-        return self._turns[self._turns.index(self.now) + 1 :]
+        names = [turn.tool for turn in self._turns]
+        return self._turns[names.index(self.tool) + 1 :]
+
+    @property
+    def tool(self) -> str:
+        """Name of the current tool; empty where the cell has one tool."""
+        return self.now.tool
 
     @property
     def terms(self) -> Mapping[str, Any] | None:
@@ -66,20 +92,24 @@ class ToolSequence:
         return self.now.terms or self._journal.terms
 
     def to_solve(self) -> list[ToolProblem]:
-        """Return this tool and those after it, each with its estimates."""
+        """Return this tool and those after it, each with its next program and its estimates."""
         left = (self.now, *self.left)
         return [ToolProblem(turn.recipe, turn.program, self._estimates[turn.tool]) for turn in left]
 
     def of(self, record: PassRecord) -> ToolStepState:
-        """Return the tool of a pass."""
-        return next((turn for turn in self._turns if turn.tool == tool_of(record.facts)), self._turns[0])
+        """Return the tool of a pass, with its program."""
+        found = next((turn for turn in self._turns if turn.tool == tool_of(record.facts)), self._turns[0])
+        turn = program_turn_of(record.facts)
+        return found if turn is None else found.of_pass(turn.number - 1)
 
     def take(self) -> None:
-        """Make the tool of the next pass the current one. An interrupted pass is repeated with its tool."""
-        self.now = self._turns[current_step(self._turns, self._journal.passes)]
+        """Make tool and program of the next pass the current ones. An interrupted pass is repeated with the same."""
+        passes = self._journal.passes
+        step = self._turns[current_step(self._turns, passes)]
+        self.now = step.of_pass(sum(one.how == "done" and tool_of(one.facts) == step.tool for one in passes))
 
     def take_of(self, record: PassRecord) -> None:
-        """Make the tool of that pass the current one."""
+        """Make tool and program of that pass the current ones."""
         self.now = self.of(record)
 
     async def load(self) -> tuple[str, ...]:
@@ -110,6 +140,12 @@ def current_step(turns: Sequence[ToolStepState], passes: Sequence[PassRecord]) -
 def tool_of(facts: Mapping[str, Any]) -> str:
     """Return the tool in a pass's facts; empty where the cell has one tool."""
     return str(facts.get("tool", ""))
+
+
+def program_turn_of(facts: Mapping[str, Any]) -> ProgramTurn | None:
+    """Return the program in a pass's facts; None where its tool has one."""
+    found = facts.get("program")
+    return None if found is None else ProgramTurn(**found)
 
 
 def estimates_of(turn: ToolStepState, passes: Sequence[PassRecord]) -> EstimatesInUse | None:

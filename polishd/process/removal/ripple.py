@@ -43,6 +43,12 @@ PERIODS = 3.0
 HARMONICS = 3
 SAME_PERIOD = 0.02
 """Lines of two passes whose periods differ by less, relative, are the same."""
+EQUAL_PERIOD, EQUAL_DEG = 1e-3, 0.05
+"""Lines of two passes whose periods and directions differ by less keep their phase over the part."""
+STRAIGHT = 0.05
+"""Lines have a phase where each lies within this share of their distance from its place in a regular row."""
+SEAT_MM = 0.05
+"""Distance across the lines that 95 % of passes lie within of their place on the part: its seat, and the frame."""
 SIGMAS_OF_95 = 1.96
 """Standard deviations of a normal distribution within which 95 % lie."""
 REGULAR = 0.2
@@ -116,20 +122,26 @@ class RippleLine:
     """Share of its mean square that the process grid's cells keep."""
     cause: Cause = "path"
     """"path": lines and points as programmed; "line_error": lines out of place, a band about the period; "lag"."""
+    azimuth_deg: float | None = None
+    """Direction of straight lines on the part, counterclockwise from x, 0 to 180; None: they are not straight."""
+    phase: float | None = None
+    """Periods from the part's center to a crest, across straight lines to their left; None: unknown."""
 
     def is_same(self, other: RippleLine) -> bool:
         """Return whether another pass leaves the same line."""
         alike = abs(self.period_mm - other.period_mm) <= SAME_PERIOD * self.period_mm
         return alike and (self.direction, self.cause) == (other.direction, other.cause)
 
+    def is_aligned(self, other: RippleLine) -> bool:
+        """Return whether another pass leaves the same line with a known phase to this one."""
+        if self.azimuth_deg is None or other.azimuth_deg is None or self.phase is None or other.phase is None:
+            return False
+        parallel = abs(self.azimuth_deg - other.azimuth_deg) <= EQUAL_DEG
+        return parallel and abs(self.period_mm - other.period_mm) <= EQUAL_PERIOD * self.period_mm
+
     def kept(self, sample_mm: float) -> float:
         """Return the share of its mean square that samples which average over their distance keep."""
         return float(np.sinc(sample_mm / self.period_mm)) ** 2
-
-
-def _summed(before: float, later: float, cause: Cause) -> float:
-    """Sum over two passes: lines out of place are so anew in each pass, and add in quadrature."""
-    return float(np.hypot(before, later)) if cause == "line_error" else before + later
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,23 +175,9 @@ class Ripple:
             square += max(kept * rms**2 - one.on_grid * one.rms_nm**2, 0.0)
         return float(np.sqrt(square))
 
-    def plus(self, later: Ripple) -> Ripple:
-        """Return the ripple of two passes: amplitudes of the same lines add up, as those of one path made twice do."""
-        lines = list(self.lines)
-        for one in later.lines:
-            known = (k for k, own in enumerate(lines) if own.is_same(one))
-            k = next(known, None)
-            if k is None:
-                lines.append(one)
-                continue
-            own = lines[k]
-            lines[k] = replace(
-                own,
-                amplitude_nm=_summed(own.amplitude_nm, one.amplitude_nm, one.cause),
-                rms_nm=_summed(own.rms_nm, one.rms_nm, one.cause),
-                rms_high_nm=_summed(own.rms_high_nm, one.rms_high_nm, one.cause),
-            )
-        return Ripple(tuple(lines), self.errors if self.lines else later.errors)
+    def without_phase(self) -> Ripple:
+        """Return the ripple whose lines add up with those of any other pass."""
+        return replace(self, lines=tuple(replace(one, phase=None) for one in self.lines))
 
     @property
     def words(self) -> str:
@@ -195,6 +193,43 @@ class Ripple:
 
 
 NO_RIPPLE = Ripple()
+
+
+def sum_ripples(passes: Sequence[Ripple]) -> Ripple:
+    """Return the ripple of several passes of one tool.
+
+    Straight parallel lines of one distance add with their phase: those of a pass between the lines of another cancel.
+    The amplitudes of all other lines of one period add up, as those of one path that is made twice do.
+    """
+    same = list[list[RippleLine]]()
+    for line in (line for one in passes for line in one.lines):
+        known = next((lines for lines in same if lines[0].is_same(line)), None)
+        if known is None:
+            same.append([line])
+        else:
+            known.append(line)
+    errors = next((one.errors for one in passes if one.lines), passes[-1].errors if passes else MODELLED)
+    return Ripple(tuple(_sum_lines(lines) for lines in same), errors)
+
+
+def _sum_lines(lines: Sequence[RippleLine]) -> RippleLine:
+    """Sum of one line over passes."""
+    first = lines[0]
+    if len(lines) == 1:
+        return first
+    values = np.array([(one.amplitude_nm, one.rms_nm, one.rms_high_nm) for one in lines])
+    if first.cause == "line_error":  # out of place anew in each pass
+        total = np.linalg.norm(values, axis=0)
+    elif all(first.is_aligned(one) for one in lines):
+        turn = np.exp(2j * np.pi * np.array([one.phase for one in lines]))
+        total = np.abs(turn @ values)
+        off = 2 * np.pi * SEAT_MM / first.period_mm * float(np.linalg.norm(values[:, 2]))
+        total[2] = min(max(total[2] + off, total[1]), float(values[:, 2].sum()))
+    else:
+        total = values.sum(axis=0)
+    amplitude, rms, high = map(float, total)
+    # a sum over more passes starts from their lines, not from this one, which has no phase
+    return replace(first, amplitude_nm=amplitude, rms_nm=rms, rms_high_nm=high, azimuth_deg=None, phase=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -473,13 +508,46 @@ def _harmonics(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid
             shares.setdefault(kind, []).append(float(_kept(way / period, grid_mm) ** 2))
         for (kind, _, _), values in zip(waves, _fitted(frame, found[k], waves), strict=True):
             amplitudes.setdefault(kind, []).append(list(values))
-    lines = []
+    lines, row = [], _row(frames)
     for kind, values in amplitudes.items():
         rms = [float(v) for v in np.sqrt(np.mean(np.square(values), axis=0) / 2)]
         direction, period = kind[0], float(np.median(periods[kind]))
         share = float(np.mean(shares[kind]))
-        lines.append(RippleLine(direction, period, rms[0] * 2**0.5, rms[0], max(rms), share))
+        line = RippleLine(direction, period, rms[0] * 2**0.5, rms[0], max(rms), share)
+        if direction == "across" and row is not None:
+            line = replace(line, azimuth_deg=row.azimuth_deg, phase=(kind[1] * row.phase) % 1.0)
+        lines.append(line)
     return tuple(lines)
+
+
+class _Row(NamedTuple):
+    """A regular row of straight lines."""
+
+    azimuth_deg: float
+    phase: float
+    """Line distances from the part's center to a line."""
+
+
+def _row(frames: Sequence[_Frame]) -> _Row | None:
+    """The row of the lines through the patches' centres; None where they are bent, or not equally far apart."""
+    pitches = [frame.pitch_mm for frame in frames if frame.pitch_mm is not None]
+    if len(pitches) < len(frames):
+        return None
+    ways = np.array([frame.along[0] + 1j * frame.along[1] for frame in frames])
+    azimuth_deg = round(float(np.degrees(np.angle((ways**2).sum()) / 2)), 3) % 180.0
+    along = np.exp(1j * np.radians(azimuth_deg))
+    if np.abs((ways * along.conjugate()).imag).max() > np.radians(EQUAL_DEG):
+        return None
+    at = np.array([frame.centre_mm for frame in frames]) @ np.array([-along.imag, along.real])
+    pitch = float(np.median(pitches))
+    number = np.round((at - at[np.argmin(np.abs(at))]) / pitch)
+    if np.ptp(number) > 0:
+        pitch, first = np.polyfit(number, at, 1)
+    else:
+        first = float(at.mean())
+    if np.abs(at - first - number * pitch).max() > STRAIGHT * pitch:
+        return None
+    return _Row(azimuth_deg, float(first / pitch))
 
 
 def _waves(frame: _Frame) -> list[_Wave]:

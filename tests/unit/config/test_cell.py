@@ -525,3 +525,63 @@ def test_what_is_wrong_with_a_tools_value_is_said_where_it_was_written(tmp_path:
 def test_a_removed_device_type_is_refused_with_what_takes_its_place(tmp_path: Path, example: str) -> None:
     said = refused(tmp_path, example.replace('type = "cia402_spindle"', 'type = "spindle_can"', 1))
     assert "spindle.type: 'spindle_can' was removed or renamed. Write type = \"cia402_spindle\"" in said
+
+
+# programs that take turns
+
+
+def with_programs(example: str, programs: str) -> str:
+    return example.replace('path = "program.rnc"', f"path = {programs}")
+
+
+def test_programs_take_turns_in_the_order_of_their_list(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(with_programs(example, '["a.rnc", "sub/b.rnc", "c.rnc"]'))
+    cell = load_config(path)
+    assert cell.program_paths == (tmp_path / "a.rnc", tmp_path / "sub" / "b.rnc", tmp_path / "c.rnc")
+    assert cell.program_path == tmp_path / "a.rnc"
+    turns = [cell.program_of_pass(number).name for number in (1, 2, 3, 4, 5)]
+    assert turns == ["a.rnc", "b.rnc", "c.rnc", "a.rnc", "b.rnc"]
+
+
+def test_one_program_is_that_of_all_passes_also_in_a_list(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    for programs in ('"a.rnc"', '["a.rnc"]'):
+        path.write_text(with_programs(example, programs))
+        cell = load_config(path)
+        assert [cell.program_of_pass(number) for number in (1, 2)] == [tmp_path / "a.rnc"] * 2
+
+
+def test_each_tool_has_its_own_programs(tmp_path: Path, example: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(example + TOOLS.replace('program = "fine.rnc"', 'program = ["fine.rnc", "finer.rnc"]'))
+    large, small = load_config(path).turns
+    assert large.program_paths == (tmp_path / "program.rnc",)
+    assert small.program_paths == (tmp_path / "fine.rnc", tmp_path / "finer.rnc")
+
+
+@pytest.mark.parametrize(
+    ("programs", "said"),
+    [
+        ("[]", "must be the name of a file, or a list of them, such as"),
+        ('""', "must be the name of a file, or a list of them, such as"),
+        ("3", "must be the name of a file, or a list of them, such as"),
+        ('["a.rnc", 3]', "must be the name of a file, or a list of them, such as"),
+        ('["a.rnc", ""]', "must be the name of a file, or a list of them, such as"),
+        ('["a.rnc", "./a.rnc"]', "names './a.rnc' twice; the programs take turns from pass to pass"),
+        ('["a.rnc", "b.rnc", "a.rnc"]', "names 'a.rnc' twice; the programs take turns from pass to pass"),
+    ],
+)
+def test_programs_that_cannot_take_turns_are_refused_in_one_line(
+    tmp_path: Path, example: str, programs: str, said: str
+) -> None:
+    text = with_programs(example, programs)
+    (line,) = refused(tmp_path, text).splitlines()
+    number = text.splitlines().index(f"path = {programs}") + 1
+    assert f"FILE:{number}: program.path: {said}" in line.replace("value error, ", "")
+
+
+def test_a_tool_that_names_a_program_twice_is_refused_by_its_key(tmp_path: Path, example: str) -> None:
+    text = example + TOOLS.replace('program = "fine.rnc"', 'program = ["fine.rnc", "fine.rnc"]')
+    (line,) = refused(tmp_path, text).splitlines()
+    assert "tools.small.program: names 'fine.rnc' twice" in line

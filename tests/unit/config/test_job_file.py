@@ -128,3 +128,16 @@ def test_errors_of_values_name_its_line_and_those_of_the_cell_the_cells(cell: Ce
 )
 def test_what_is_no_job_is_refused(cell: CellConfig, tmp_path: Path, text: str, said: str) -> None:
     assert refused(cell, job_file(tmp_path, text)).startswith(said)
+
+
+def test_its_programs_start_from_its_own_folder_too(cell: CellConfig, tmp_path: Path) -> None:
+    job = job_file(tmp_path, JOB.replace('path = "lens.rnc"', 'path = ["lens.rnc", "between.rnc"]'))
+    laid = job.laid_over(cell)
+    assert laid.program_paths == (tmp_path / "jobs" / "lens.rnc", tmp_path / "jobs" / "between.rnc")
+    assert job.names() == ["program.path"]
+
+
+def test_a_job_with_one_program_replaces_those_of_the_cell(cell: CellConfig, tmp_path: Path) -> None:
+    cell.path.write_text(cell.path.read_text().replace('path = "program.rnc"', 'path = ["a.rnc", "b.rnc"]'))
+    assert len((several := load_config(cell.path)).program_paths) == 2
+    assert job_file(tmp_path, JOB).laid_over(several).program_paths == (tmp_path / "jobs" / "lens.rnc",)

@@ -165,7 +165,7 @@ def small_job(
         "stream_ahead_s": 8.0,
     }
     contact = changes.pop("contact", LIMITS)
-    one = (ToolStepState(recipe or small_recipe(), program or small_program(), contact),)
+    one = (ToolStepState(recipe or small_recipe(), (program or small_program(),), contact),)
     job = Job(ToolSequence(changes.pop("turns", one), journal), **(values | changes))
     job.published = published  # type: ignore[attr-defined]
     return job
@@ -217,7 +217,7 @@ class Bench:
         passes = self.journal.passes
         if passes and passes[-1].cycle != self._cycle:
             self._cycle = passes[-1].cycle
-            program, blocks = small_program(), self.journal.executed(self._cycle)
+            program, blocks = self.program_of(passes[-1]), self.journal.executed(self._cycle)
             time_s = np.zeros(program.n)
             index = {int(block): k for k, block in enumerate(program.block)}
             for seq, seconds in zip(blocks.seq, blocks.duration_s, strict=True):
@@ -227,6 +227,10 @@ class Bench:
             answer = steps.effect_of(recipe, program, self.surface.grid, at_rate(self.rate))
             self.surface = as_map(self.surface.height_nm - answer.effect.removal_nm(time_s))
         return self.surface
+
+    def program_of(self, record: PassRecord) -> Program:
+        """The program of that pass."""
+        return small_program()
 
     def truth_of(self, record: PassRecord) -> Recipe:
         """The tool that truly made that pass."""

@@ -6,7 +6,7 @@ import asyncio
 import json
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -464,7 +464,6 @@ class Site:
             cell=SimpleNamespace(name="bench"),
             state_dir=tmp_path / "state",
             run_dir=tmp_path / "run",
-            program_path=tmp_path / "program.rnc",
             profile_path=None,
             base_dir=tmp_path,
             notify={},
@@ -478,8 +477,8 @@ class Site:
         self.hooks: Any = SimpleNamespace(on_event=self.published.append, check_plan=accept)
         journal = app._journal
 
-        def kept(config: Any, program: Program) -> Journal:
-            found = journal(config, program)
+        def kept(config: Any, programs: Sequence[Program]) -> Journal:
+            found = journal(config, programs)
             assert self.bench is not None
             self.bench.journal = found
             return found
@@ -488,7 +487,7 @@ class Site:
         monkeypatch.setattr(app, "require_fit", lambda config, recipe, program: "")
         monkeypatch.setattr(app, "require_accepted_by_robot", lambda config, hooks, program: None)
         monkeypatch.setattr(app, "read_recipes", lambda config, hooks: (self.recipe,))
-        monkeypatch.setattr(app, "read_program", lambda recipe, path: self.program)
+        monkeypatch.setattr(app, "read_programs", lambda config, recipe: (self.program,))
         monkeypatch.setattr(app, "build_cell", self.build)
         monkeypatch.setattr(assembly, "contact_limits", lambda config: LIMITS)
         monkeypatch.setattr(app, "Compute", InProcess)

@@ -25,7 +25,11 @@ from polishd.model.errors import ConfigError, LinkError, ProgramError
 from polishd.model.estimates import Estimates, MachineEstimates
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.build_recipe import make_recipe, require_commissioned
+from polishd.pipeline.precheck import read_programs
 from polishd.plugin_loader import Hooks, load_own, load_plugins
+from polishd.plugins.rnc_robot.formats import make_shipped
+from polishd.programs.make import make_program
+from polishd.programs.options import MakeOptions
 from tests.commissioned import commissioned
 from tests.fakes.devices import FakeCell
 
@@ -359,3 +363,68 @@ def test_a_cell_without_a_profile_is_refused(configured: Any, hooks: Hooks) -> N
     assert recipe.instrument is None
     with pytest.raises(ConfigError, match=r"cell.toml:\d+: instrument.profile: the cell names no"):
         require_commissioned(bare, recipe.instrument)
+
+
+# programs that take turns
+
+
+def with_between(config: CellConfig) -> CellConfig:
+    """The cell with a second program between the lines of the first."""
+    config.path.write_text(config.path.read_text().replace('path = "program.rnc"', 'path = ["program.rnc", "b.rnc"]'))
+    config.program_path.write_bytes(demo_program(config))
+    made = MakeOptions(
+        "raster", config.program_path.with_name("b.rnc"), cell=config.path, pitch_mm=1.5, step_mm=1.5, phase=0.5
+    )
+    config.program_path.with_name("b.rnc").write_bytes(make_program(made, config, load_own()).text)
+    return load_config(config.path)
+
+
+def test_check_computes_along_each_program(configured: Any, hooks: Hooks) -> None:
+    config = with_between(configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}))
+    seen: list[str] = []
+    facts = checks.check_cell(config, hooks, seen.append)
+    assert facts["program 1: program"].startswith("program.rnc: ")
+    assert facts["program 2: program"].startswith("b.rnc: ")
+    assert facts["program 1: covers"] != facts["program 2: covers"]
+    assert "reach" not in facts
+    assert "reading program.rnc, b.rnc" in seen
+
+
+def test_check_refuses_a_second_program_of_another_part(configured: Any, hooks: Hooks) -> None:
+    config = with_between(configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}))
+    config.path.write_text(config.path.read_text().replace("aperture_mm = 30.0", "aperture_mm = 60.0"))
+    config.program_path.write_bytes(demo_program(load_config(config.path)))
+    with pytest.raises(ConfigError, match=r"program\.path: b\.rnc reaches .* the part is a circle of 60 mm"):
+        checks.check_cell(load_config(config.path), hooks)
+
+
+def test_programs_with_the_same_content_are_refused(configured: Any, hooks: Hooks) -> None:
+    config = with_between(configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}))
+    config.program_paths[1].write_bytes(config.program_path.read_bytes())
+    with pytest.raises(
+        ConfigError, match=r"cell\.toml:\d+: program\.path: b\.rnc has the same content as program\.rnc"
+    ):
+        checks.check_cell(config, hooks)
+
+
+@pytest.mark.parametrize("touch_off", [True, False])
+def test_programs_for_two_tools_or_frames_of_the_controller_are_refused(
+    configured: Any, hooks: Hooks, *, touch_off: bool
+) -> None:
+    config = configured(program={"format": "rapid"})
+    text = config.path.read_text().replace('path = "program.rnc"', 'path = ["a.mod", "b.mod"]')
+    without, cut = re.subn(r"(?m)^\[touch_off\].*\n(?:(?!\[).*\n)*", "", text)
+    assert cut == 1
+    config.path.write_text(text if touch_off else without)
+    config = load_config(config.path)
+    points, axes = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]] * 2)
+    made = make_shipped("rapid", points, axes, 600.0, "a")
+    first, second = config.program_paths
+    first.write_bytes(made)
+    second.write_bytes(made + b"\n")
+    recipe = make_recipe(config, hooks)
+    assert [program.name for program in read_programs(config, recipe)] == ["a.mod", "b.mod"]
+    assert b"wPart" in made
+    second.write_bytes(made.replace(b"wPart", b"glass"))
+    with pytest.raises(ConfigError, match=r"program\.path: b\.mod names another tool or frame .* than a\.mod"):
+        read_programs(config, recipe)

@@ -59,10 +59,10 @@ async def made(
     journal: Journal, queue: Queue, monkeypatch: pytest.MonkeyPatch, meanwhile: Callable[[], None] = lambda: None
 ) -> None:
     (entry,) = queue.to_do()
-    config = SimpleNamespace(turns=(SimpleNamespace(program_path=Path("/a.rnc")),))
+    config = SimpleNamespace(turns=(SimpleNamespace(),))
 
     async def compute(*_: Any) -> Any:
-        return SimpleNamespace(sha256="0")
+        return [SimpleNamespace(sha256="0")]
 
     def terms_of(*_: Any) -> dict[str, Any]:
         meanwhile()

@@ -693,3 +693,13 @@ def test_a_language_and_a_machine_without_a_common_speed_are_refused() -> None:
     slow = replace(program, timing=replace(program.timing, greatest_mm_s=1e-3, least_mm_s=1e-4))
     with pytest.raises(ComputeError, match=r"krl states 0\.0001 to 0\.001 mm/s, the machine runs"):
         steps.envelope_of(small_recipe(), slow)
+
+
+def test_lines_between_lines_count_by_their_phase_unless_another_tool_made_them() -> None:
+    line = {"direction": "across", "period_mm": 0.9, "amplitude_nm": 1.4, "rms_nm": 1.0, "rms_high_nm": 1.3}
+    line |= {"on_grid": 0.0, "azimuth_deg": 30.0, "phase": 0.25}
+    between = {**line, "phase": 0.75}
+    passes = [{"forecast": {"ripple": {"lines": [one]}}} for one in (line, between)]
+    assert made_ripple(passes).rms_nm == pytest.approx(0.0, abs=1e-9)
+    tools = [{**one, "tool": tool} for one, tool in zip(passes, ("wide", "narrow"), strict=True)]
+    assert made_ripple(tools).rms_nm == pytest.approx(2.0)

@@ -308,7 +308,7 @@ def test_what_its_plan_or_run_would_refuse_is_not_written(
 
 def test_a_program_replaces_one_in_another_language_though_the_cell_has_a_touch_off(tmp_path: Path) -> None:
     """The touch-off is made like the program that there is, which is not the one to come."""
-    path = load_config(EXAMPLE).program.path
+    path = load_config(EXAMPLE).program_path.name
     cell = cell_with(tmp_path, ('format = "rs274"', 'format = "inform"'))
     program = cell.parent / path
     program.write_text("G21 G90\nG1 X0 Y0 Z0 F100\n")
@@ -504,3 +504,24 @@ def test_a_spot_wider_than_the_part(tmp_path: Path) -> None:
     error, files = refused(tmp_path, "random", "--cell", EXAMPLE, "--aperture", "circle:3")
     assert "the spot's radius of 1.6" in str(error)
     assert not files
+
+
+@pytest.mark.full
+def test_the_programs_that_the_page_makes_for_two_passes_lie_between_each_other(
+    polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (EXAMPLE.parents[1] / "docs" / "how-to" / "paths.md").read_text().partition("## From pass to pass")[2]
+    commands, keys = (block.strip() for block in page.split("```")[1:4:2])
+    (line,) = [one for one in EXAMPLE.read_text().splitlines() if one.startswith('path = "program.rnc"')]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cell.toml").write_text(EXAMPLE.read_text().replace(line, keys.removeprefix("toml\n[program]\n")))
+    for command in commands.splitlines():
+        polishd(*command.split()[1:], "--json")
+    cell = load_config(tmp_path / "cell.toml")
+    programs = precheck.read_programs(cell, make_recipe(cell, load_own()))
+    assert [program.name for program in programs] == ["program.rnc", "between.rnc"]
+    first, second = (
+        np.unique(np.round(program.end_mm[np.abs(program.end_mm[:, 0]) < 20, 1], 3)) for program in programs
+    )
+    apart = np.abs(second[:, None] - first).min(axis=1)
+    assert apart == pytest.approx(np.full(second.size, np.diff(first).mean() / 2), abs=0.01)

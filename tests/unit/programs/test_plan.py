@@ -49,7 +49,7 @@ class Desk:
             part=SimpleNamespace(id="P-1"),
             job=SimpleNamespace(id="by-hand"),
             program=SimpleNamespace(coverage="aperture"),
-            turns=(SimpleNamespace(program_path=self.program),),
+            turns=(SimpleNamespace(program_of_pass=lambda number: self.program),),
             state_dir=self.program.parent / "state",
             run_dir=None,
         )
@@ -307,3 +307,14 @@ def test_a_commissioned_profile_needs_no_note(desk: Desk) -> None:
     proof = CommissioningRecord(datetime(2026, 1, 1, tzinfo=UTC), "bumps", "0" * 64, 0.99, 0.4, "1" * 64)
     desk.recipe = small_recipe(instrument=Instrument("bench", commissioned=proof))
     assert desk.plan()["notes"] == ["a spot for tests"]
+
+
+def test_the_program_is_that_of_the_pass(desk: Desk) -> None:
+    """Where several take turns; another one of the command line is that of any pass."""
+    other = desk.program.with_name("between.rnc")
+    other.write_bytes(small_text().replace(b"Y", b"(between)\nY", 1))
+    desk.config.turns = (SimpleNamespace(program_of_pass=lambda number: (desk.program, other)[(number - 1) % 2]),)
+    for of_pass, path in ((1, desk.program), (2, other), (3, desk.program)):
+        out = desk.out.with_name(f"pass-{of_pass}")
+        plan_part(desk.config, desk.hooks, desk.map, None, out, of_pass=of_pass)
+        assert (b"(between)" in (out / "program.rnc").read_bytes()) == (path is other)

@@ -19,9 +19,14 @@ from polishd.model.surface import FloatArray
 from polishd.pipeline import decisions, steps
 from polishd.pipeline.decisions import Accept, AnotherPass, Decision, Diverge, PassesUsed, Stalled
 from polishd.pipeline.recipe import Recipe
+from polishd.plugins.rnc_robot.formats import path_program
+from polishd.process.toolpath.apertures import circle
+from polishd.process.toolpath.paths import raster
 from polishd.studies import closed_loop
 from polishd.studies.closed_loop import GATE, TOOL, _Account, _Job
+from tests.rs274 import RS274
 from tests.unit.daemon.small import (
+    APERTURE_MM,
     LIMITS,
     Bench,
     as_map,
@@ -115,7 +120,7 @@ async def by_daemon(folder: Path, plant: Plant, recipe: Recipe, passes: int) -> 
 def by_study(plant: Plant, recipe: Recipe, passes: int) -> str:
     """End of a study's closed loop on that plant."""
     hooks: Any = SimpleNamespace(check_plan=lambda *_: [])
-    loop = _Job(recipe, small_program(), hooks, "P-1", passes, True, plant, _Account())  # type: ignore[arg-type]
+    loop = _Job(recipe, (small_program(),), hooks, "P-1", passes, True, plant, _Account())  # type: ignore[arg-type]
     return loop.polish(steps.initial_estimates(recipe)).how
 
 
@@ -164,3 +169,27 @@ async def test_both_decide_alike(
     study = by_study(Plant(seed, **plant), recipe, passes)
     assert (study, made) == (daemon, by_cycle)
     assert isinstance(made[-1], last)
+
+
+def shifted() -> Program:
+    points = raster(circle(APERTURE_MM + 2), 1.5, 1.5, phase=0.5)
+    axes = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    return RS274.read(path_program(points, axes, 900.0, "small"), "between.rnc")
+
+
+def test_programs_of_a_study_take_turns_and_each_pass_is_learned_along_its_own() -> None:
+    polished: list[str] = []
+
+    class Watched(Plant):
+        def polish(self, program: Program, seconds: FloatArray, force_n: float, rpm: float) -> dict[str, FloatArray]:
+            polished.append(program.name)
+            return super().polish(program, seconds, force_n, rpm)
+
+    plant = Watched(0, rates=lambda _: 0.8)
+    hooks: Any = SimpleNamespace(check_plan=lambda *_: [])
+    recipe = small_recipe(tolerance_nm=NEVER_NM)
+    account = _Account()
+    loop = _Job(recipe, (small_program(), shifted()), hooks, "P-1", 2, True, plant, account)  # type: ignore[arg-type]
+    assert loop.polish(steps.initial_estimates(recipe)).how == "cycles_used"
+    assert polished == ["small.rnc", "between.rnc"]
+    assert account.rms_nm[2] < account.rms_nm[1] < account.rms_nm[0]

@@ -135,6 +135,7 @@ class FilledCell:
         *,
         by: str = "",
         text: str = "",
+        files: str = "{}",
         job: int | None = None,
         begun_s: float | None = None,
         ended_s: float | None = None,
@@ -145,7 +146,7 @@ class FilledCell:
         content = text or f'[job]\nid = "{name}"\ntolerance_nm = {LIMIT_NM}\n[part]\nid = "part-{name}"\n'
         reason = {"rejected": "the job has used all its passes", "set aside": "WrongSeat: the part is tilted"}
         path = str(self.config.state_dir.parent / f"{name}.toml")
-        row = (self.places, name, f"part-{name}", path, content, "{}", added_s, job, begun_s, ended_s, verdict)
+        row = (self.places, name, f"part-{name}", path, content, files, added_s, job, begun_s, ended_s, verdict)
         self.rows.append((QUEUE, (*row, reason.get(verdict or "", ""))))
         if by:
             self.event(0, added_s, CommandReceived(order="queue_add", reason=name, by=by))

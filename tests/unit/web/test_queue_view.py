@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -87,3 +88,24 @@ def test_a_job_whose_file_no_longer_fits_says_why_and_breaks_nothing(web: Served
 
 def test_an_empty_queue_and_no_journal(web: Served) -> None:
     assert web.ask("GET", "/api/queue").json() == {"jobs": [], "ended": [], "ended_total": 0}
+
+
+def test_programs_that_take_turns_are_told_apart_by_all_of_them(web: Served) -> None:
+    """The expected time is that of jobs with the same programs in the same order."""
+    cell = FilledCell(web.config, maps=False)
+    for number, order in enumerate(("ab", "ab", "ba")):
+        cell.part(f"done-{number}", NOW_S - (9 - number) * DAY_S, [20.0, 1.5], hours=2.0 + number)
+        cell.rows.append(("UPDATE queue SET files = ? WHERE name = ?", (programs_of(order), f"done-{number}")))
+    both = '[job]\nid = "{0}"\n[part]\nid = "part-{0}"\n[program]\npath = ["a.rnc", "b.rnc"]\n'
+    cell.queued("both", NOW_S, text=both.format("both"), files=programs_of("ab"))
+    cell.queued("one", NOW_S, text=both.format("one"), files=programs_of("a"))
+    cell.write()
+    first, second = web.ask("GET", "/api/queue").json()["jobs"]
+    assert (first["typical_s"], first["typical_of"]) == (2.5 * HOUR_S, 2)
+    assert first["details"]["program"] == "a.rnc, b.rnc"
+    assert len(first["details"]["program_sha256"]) == 64
+    assert second["typical_of"] == 0
+
+
+def programs_of(names: str) -> str:
+    return json.dumps({"program.path": [{"file": f"{name}.rnc", "sha256": name * 64} for name in names]})

@@ -91,7 +91,7 @@ export function mount(root, ctx) {
       row(t.force, (one) => withUnit(one.force_n, "N")),
       row(t.speed, (one) => withUnit(one.rpm, "rpm")),
       row(t.points, (one) => Number(one.points).toLocaleString("en").replaceAll(",", "\u202f")),
-      [t.program, [hash(plan.program_sha256), "number this"], ...(last ? [[hash(last.program_sha256), "number"], ["", "number"]] : [])],
+      [t.program, [box("span", "", now.program ? `${now.program} ` : "", hash(plan.program_sha256)), "number this"], ...(last ? [[hash(last.program_sha256), "number"], ["", "number"]] : [])],
     ];
     const heads = [["", ""], [t.thisPlan, "number this"], ...(last ? [[`${t.lastPass}, ${t.planned}`, "number"], [t.result, "number"]] : [])];
     return tableOf(heads, rows, "figures");

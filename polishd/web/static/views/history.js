@@ -244,7 +244,7 @@ export function mount(root, ctx) {
     const after = new Map(one.cycles.map((cycle) => [cycle.cycle, cycle.measured.rms_nm]));
     return tableOf(t.passColumns.map((text, n) => [text, n && n < 9 ? "number" : ""]), one.cycles.filter((cycle) => cycle.run).map(({ cycle, measured, run }) => {
       const reached = after.get(cycle + 1), figures = run.plan_figures, allowed = one.approvals.filter((each) => each.program_sha256 === run.program_sha256).at(-1);
-      return [`${cycle + 1}${run.tool ? `, ${run.tool}` : ""}${run.how === "done" ? "" : ` (${run.how})`}`, [nm(measured.rms_nm), "number"], [nm(run.predicted_rms_nm), "number"],
+      return [`${cycle + 1}${run.tool ? `, ${run.tool}` : ""}${run.program ? `, ${run.program.name}` : ""}${run.how === "done" ? "" : ` (${run.how})`}`, [nm(measured.rms_nm), "number"], [nm(run.predicted_rms_nm), "number"],
         [run.forecast ? `${figure(run.forecast.low_nm, 2)} to ${figure(run.forecast.high_nm, 2)}\u00a0nm` : NONE, "number"], [nm(reached), "number"],
         [reached && run.predicted_rms_nm ? figure(reached / run.predicted_rms_nm) : NONE, "number"], [nm(figures?.removal_mean_nm), "number"], [nm(figures?.ripple_rms_nm), "number"], [duration(run.contact_s ?? run.dwell_s), "number"],
         hash(run.program_sha256), allowed ? `${allowed.by}, ${clock(allowed.at_s)}` : NONE];

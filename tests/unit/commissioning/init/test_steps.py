@@ -118,3 +118,14 @@ def test_a_cell_that_cannot_be_read_is_the_first_thing_to_do(cell: Path) -> None
     found = setup(cell)
     assert list(found) == ["write the cell"]
     assert "part.aperture_mm: -20 is out of range" in found["write the cell"][1]
+
+
+@pytest.mark.full
+def test_each_program_of_a_cell_is_needed(cell: Path) -> None:
+    cell.write_text(cell.read_text().replace('"program.rnc"', '["program.rnc", "between.rnc"]'))
+    between = cell.parent / "between.rnc"
+    found = setup(cell)["have a program"]
+    command = f"polishd program make raster --out {between} --cell {cell} --phase 0.5"
+    assert found == (False, f"{between}: is missing", command)
+    between.write_bytes((cell.parent / "program.rnc").read_bytes())
+    assert setup(cell)["have a program"][:2] == (True, f"{cell.parent / 'program.rnc'}, {between}")

@@ -203,3 +203,67 @@ def test_what_has_no_rule_may_not_change() -> None:
 
 def test_keys_that_name_files_may_not_change() -> None:
     assert [key for key in FILES if may_change(key)] == []
+
+
+# programs that take turns
+
+TWO = ["program.rnc", "between.rnc"]
+
+
+def begin_with_two(cell: Path) -> CellConfig:
+    change(cell, "program", {"path": TWO})
+    config = load_config(cell)
+    config.program_paths[1].write_bytes(b"(between)\n" + config.program_path.read_bytes())
+    terms = terms_of(config, "aa" * 32, "bb" * 32)
+    config.state_dir.mkdir()
+    with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
+        journal.record_map(0, "cc", "x", {})
+    return config
+
+
+def go_on_with(cell: Path, *program_sha256: str) -> None:
+    config = load_config(cell)
+    terms = terms_of(config, *program_sha256)
+    with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
+        require_same(config, terms, journal)
+
+
+def test_a_job_goes_on_with_its_programs(cell: Path) -> None:
+    config = begin_with_two(cell)
+    go_on_with(cell, "aa" * 32, "bb" * 32)
+    assert [one["sha256"] for one in terms_of(config, "aa" * 32, "bb" * 32)["program.path"]] == ["aa" * 32, "bb" * 32]
+
+
+@pytest.mark.parametrize(
+    ("hashes", "shown"),
+    [(("aa" * 32, "dd" * 32), "between.rnc (sha256 dddddddddddd)"), (("bb" * 32, "aa" * 32), "aaaaaaaaaaaa)]")],
+    ids=["another second program", "another order"],
+)
+def test_another_program_among_several_is_refused(cell: Path, hashes: tuple[str, str], shown: str) -> None:
+    begin_with_two(cell)
+    with pytest.raises(ConfigError) as caught:
+        go_on_with(cell, *hashes)
+    first, todo = str(caught.value).splitlines()
+    assert "program.path: is [program.rnc (sha256 " in first
+    assert shown in first
+    assert todo.startswith("the job has begun and cannot continue with these values")
+
+
+def test_one_program_in_place_of_two_is_refused(cell: Path) -> None:
+    begin_with_two(cell)
+    change(cell, "program", {"path": "program.rnc"})
+    with pytest.raises(
+        ConfigError, match=r"program\.path: is program\.rnc \(sha256 a+\), the job 'demo' began with \["
+    ):
+        go_on_with(cell, "aa" * 32)
+
+
+def test_a_tool_with_programs_of_its_own_leaves_the_hashes_of_the_cells_as_they_are(cell: Path) -> None:
+    change(cell, "program", {"path": TWO})
+    config = load_config(cell)
+    for name in (*TWO, "own.rnc", "other.rnc"):
+        config.resolve(name).write_bytes(name.encode())
+    cell.write_text(cell.read_text() + '\n[tools.own]\nprogram = ["own.rnc", "other.rnc"]\n')
+    terms = terms_of(load_config(cell), "aa" * 32, "bb" * 32)
+    known = [hashlib.sha256(name.encode()).hexdigest() for name in (*TWO, "own.rnc", "other.rnc")]
+    assert [one["sha256"] for one in (*terms["program.path"], *terms["tools.own.program"])] == known

@@ -63,8 +63,8 @@ class TwoTools(Bench):
         # The fake robot takes 1.5 mm for each block's length, and this tolerance would allow no time beyond the plan.
         contact = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3, excess_nm=5.0)
         turns = (
-            ToolStepState(first, small_program(), replace(contact, force_n=WIDE_N)),
-            ToolStepState(narrow(**terms), small_program(), contact),
+            ToolStepState(first, (small_program(),), replace(contact, force_n=WIDE_N)),
+            ToolStepState(narrow(**terms), (small_program(),), contact),
         )
         job = super().job(**{"max_cycles": 2, "turns": turns, **changes})
         publish = job.publish

@@ -14,6 +14,7 @@ from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.removal import contact
 from polishd.process.removal.ripple import (
     RADIUS_ERROR,
+    SEAT_MM,
     ActingSpots,
     ContactAt,
     PathErrors,
@@ -22,6 +23,7 @@ from polishd.process.removal.ripple import (
     quiet_pitch,
     ripple_of,
     ripple_shares,
+    sum_ripples,
 )
 from polishd.process.removal.tif import HertzSpot, WiderSpot
 from polishd.process.removal.tif_family import PathBlocks
@@ -361,3 +363,68 @@ def test_the_quiet_pitch_is_better_than_its_neighbours_and_within_its_path() -> 
     assert 1.0 / 1.15 <= found.pitch_mm <= 1.0
     shorter = quiet_pitch(HertzSpot(PROCESS), [contact_at], 1.0, more_path=3.0)
     assert shorter.share_high < found.share_high
+
+
+# Several passes: lines add with their phase where it is known.
+
+
+def shifted(lines: Lines, shift: float) -> tuple[PathBlocks, FloatArray]:
+    """The path and its dwell, with all lines that part of their distance to their left."""
+    blocks, time_s = lines.blocks()
+    turn = np.radians(lines.angle_deg)
+    move = shift * lines.pitch_mm * np.array([-np.sin(turn), np.cos(turn)])
+    return replace(blocks, start_mm=blocks.start_mm + move, end_mm=blocks.end_mm + move), time_s
+
+
+def of_pass(lines: Lines, shift: float) -> Ripple:
+    blocks, time_s = shifted(lines, shift)
+    return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear())
+
+
+@pytest.mark.one_of_each
+@pytest.mark.parametrize("shifts", [(0.0, 0.5), (0.1, 0.35), (0.2, 0.2 + 1 / 3, 0.2 + 2 / 3)], ids=str)
+@pytest.mark.parametrize("lines", [Lines(1.5), Lines(1.2, angle_deg=30.0)], ids=["along x", "at 30 degrees"])
+def test_lines_of_passes_add_with_their_phase_as_a_direct_sum_does(lines: Lines, shifts: tuple[float, ...]) -> None:
+    parts = [direct_nm(*shifted(lines, shift), 1.0, 2 * lines.pitch_mm) for shift in shifts]
+    exact = amplitudes(
+        parts[0][0], np.sum([height for _, height in parts], axis=0), lines.angle_deg + 90, lines.pitch_mm
+    )
+    passes = [of_pass(lines, shift) for shift in shifts]
+    found = np.array([one.amplitude_nm for one in of(sum_ripples(passes), "across")])
+    largest = max(one.amplitude_nm for one in of(passes[0], "across"))
+    assert np.abs(found - exact).max() < 0.1 * max(largest, exact.max())
+
+
+def test_the_high_value_of_lines_between_lines_contains_a_part_that_lies_elsewhere() -> None:
+    lines = Lines(1.5)
+    first, between = of_pass(lines, 0.0), of_pass(lines, 0.5)
+    one, total = first.lines[0], sum_ripples([first, between]).lines[0]
+    assert total.rms_nm < 0.01 * one.rms_nm
+    off = of_pass(lines, 0.5 + SEAT_MM / lines.pitch_mm)
+    assert sum_ripples([first, off]).lines[0].rms_nm < total.rms_high_nm < 2 * one.rms_high_nm
+
+
+def test_lines_of_one_path_made_twice_add_up() -> None:
+    one = of_pass(Lines(1.5), 0.25)
+    for single, total in zip(one.lines, sum_ripples([one, one]).lines, strict=True):
+        for figure in ("amplitude_nm", "rms_nm", "rms_high_nm"):
+            assert getattr(total, figure) == pytest.approx(2 * getattr(single, figure))
+
+
+@pytest.mark.parametrize(
+    "other", [Lines(1.51), Lines(1.5, angle_deg=0.2)], ids=["another distance", "another direction"]
+)
+def test_lines_without_a_common_phase_add_up(other: Lines) -> None:
+    first, second = of_pass(Lines(1.5), 0.0), of_pass(other, 0.5)
+    total = sum_ripples([first, second]).lines[0]
+    assert total.rms_nm == pytest.approx(first.lines[0].rms_nm + second.lines[0].rms_nm)
+    assert sum_ripples([first, of_pass(Lines(1.5), 0.5).without_phase()]).lines[0].rms_nm > first.lines[0].rms_nm
+
+
+def test_bent_lines_have_no_phase() -> None:
+    blocks, time_s = Lines(1.5).blocks()
+    start, end = (place + 0.2 * np.sin(place[:, ::-1] / 3) for place in (blocks.start_mm, blocks.end_mm))
+    bent = replace(blocks, start_mm=start, end_mm=end)
+    found = ripple_of(ActingSpots(HertzSpot(PROCESS), bent), time_s, GRID, clear())
+    assert found.lines
+    assert {one.phase for one in found.lines} == {None}
