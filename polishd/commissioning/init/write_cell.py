@@ -404,12 +404,13 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
         return "none: the arm is not known yet"
     by_tool = {"removal_model": "hertz_preston", "tif": None}  # of a measured spot only the place counts here
     config = config.model_copy(update={"process": config.process.model_copy(update=by_tool)})
+    (name,) = config.program.paths
     try:
         quiet = quiet_lines(config, PITCH_MM, shape=shape)
         wanted = draft.answers.own.program
         options = MakeOptions(
             shape,
-            Path(config.program.path),
+            Path(name),
             pitch_mm=quiet.pitch_mm * (RANDOM_PITCH if shape == "random" else 1.0),
             step_mm=PITCH_MM,
             **wanted.model_dump(include={"cross_deg", "phase", "seed"}),
@@ -425,7 +426,7 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
         raise draft.answers.own.error(
             "part.origin_mm", f"{problem}. Nothing was written. Move the part there, or mend [kinematics]"
         ) from error
-    draft.files[config.program.path] = made.text
+    draft.files[name] = made.text
     if shape == "random":  # whose lines have no common distance that could be quiet
         return f"random, {made.answer['points']} points, lines {options.pitch_mm:.3g} mm apart in the mean"
     return f"{shape}, {made.answer['points']} points, {quiet.words}"
