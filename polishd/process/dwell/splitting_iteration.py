@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 RELAXATION = 1.9
 
@@ -97,13 +97,13 @@ class NumpyIteration:
     def advance(self, work: SplitProblem) -> None:
         """See Iteration."""
         fixed, ranks = self._fixed, range(work.rank)
-        spectrum = fft.rfft2(work.y)
+        spectrum = scipy.fft.rfft2(work.y)
         for response, w in zip(work.spectra, work.w, strict=True):
-            part = fft.rfft2(w)
+            part = scipy.fft.rfft2(w)
             part *= response
             spectrum -= part
         spectrum *= fixed["gain"]
-        moved = [fft.irfft2(kernel * spectrum, self._size, overwrite_x=True) for kernel in fixed["back"]]
+        moved = [scipy.fft.irfft2(kernel * spectrum, self._size, overwrite_x=True) for kernel in fixed["back"]]
         met = [w + change for w, change in zip(work.w, moved, strict=True)]  # with y they fulfil y = sum K w
         for k in ranks:
             moved[k] += met[k]  # the reflection
@@ -113,7 +113,7 @@ class NumpyIteration:
             moved[k] -= met[k]
             moved[k] *= RELAXATION
             work.w[k] += moved[k]
-        change = fft.irfft2(spectrum, self._size, overwrite_x=True)
+        change = scipy.fft.irfft2(spectrum, self._size, overwrite_x=True)
         change *= fixed["y_change"]
         work.y *= fixed["y_keep"]
         work.y += change

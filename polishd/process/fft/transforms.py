@@ -43,16 +43,7 @@ def inline_deep(function: F) -> F:
 
 
 def _njit(function: F, **options: Any) -> F:
-    """Compile without the functions by which Python would call it, which take a fifth of the compiler's time."""
-    njit_with: Any = njit  # its stubs leave these options out
-    made: F = njit_with(
-        error_model="numpy",
-        nogil=True,
-        no_cpython_wrapper=True,
-        no_cfunc_wrapper=True,
-        **no_refcount_option(),
-        **options,
-    )(function)
+    made: F = njit(error_model="numpy", nogil=True, **no_refcount_option(), **options)(function)
     return made
 
 
