@@ -65,11 +65,14 @@ def values(pairs: Sequence[tuple[int, int]], norm: Norm, x: FloatArray, y: Float
     found = np.empty((len(pairs), len(x)))
     for index, (n, m) in enumerate(pairs):
         term = found[index]
-        term[:] = 0.0
-        for factor in _radial(n, abs(m)):  # Horner in r^2
+        term[:], *factors = _radial(n, abs(m))
+        for factor in factors:  # Horner in r^2
             term *= square
             term += factor
-        term *= angular[abs(m)][m < 0] * (sqrt((n + 1) * (1 if m == 0 else 2)) if norm == "rms" else 1.0)
+        if m:
+            term *= angular[abs(m)][m < 0]
+        if norm == "rms":
+            term *= sqrt((n + 1) * (1 if m == 0 else 2))
     return found
 
 
