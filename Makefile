@@ -194,7 +194,7 @@ clean: ## remove all generated files
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A changed lock starts from an empty environment, so that nothing unlocked lingers; a changed pyproject.toml only
-# renews our own entry points.
+# renews our own entry points. Without a folder that keeps compiled code the first large plan compiles it.
 $(VENV)/.locked: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	    { echo "polishd needs Python 3.11 or newer, and $(PYTHON) is not: make PYTHON=python3.11 ..." >&2; exit 1; }
@@ -207,4 +207,6 @@ $(VENV)/.locked: requirements.lock
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml
 	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@echo "compiling the functions of large plans" >&2
+	-@$(BIN)/polishd doctor --compile >&2
 	@touch $@

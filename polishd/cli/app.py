@@ -232,10 +232,19 @@ def plan(
 
 @app.command()
 def doctor(
+    *,
     cell: Annotated[Path | None, Argument(metavar="[CELL.toml]", help="The cell's configuration")] = None,
+    compile_ahead: Annotated[
+        bool, Option("--compile", help="Only compile the functions of large plans, after an installation")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Check software, permissions, clock and disk of this computer, and a cell's addresses. No device is opened."""
+    if compile_ahead:
+        from polishd.commissioning.compile_ahead import compile_verb
+
+        compile_verb(as_json=as_json)
+        return
     from polishd.commissioning.doctor import doctor_verb
 
     doctor_verb(cell, as_json=as_json)

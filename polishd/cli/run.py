@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -24,6 +25,8 @@ from polishd.util.threads import run_loop
 
 # Output while jobs run: a line for each measurement, and a bar for each cell.
 
+SHORT_COLLECTIONS = 700
+"""New objects between two garbage collections of a daemon: few, so that none delays the contact loop."""
 Show = Callable[[str, int | None, Mapping[str, Any]], None]
 """(event's name, its cycle, its data)."""
 
@@ -149,6 +152,7 @@ def run_verb(
         if record is not None and len(cells) > 1 and not record.is_dir():
             raise ConfigError(f"--record {record}: is not a folder; name an existing folder for several cells")
         loaded = [load_cell(cell, correction) for cell in cells]
+        gc.set_threshold(SHORT_COLLECTIONS)
         names = _names(cells, [config for config, _ in loaded])
         with progress(names) as shows:
             runs = [

@@ -116,7 +116,8 @@ Range = Annotated[
 class ConfigSection(BaseModel):
     """Base of all sections: frozen; unknown keys, wrong types, NaN and infinity are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
+    """Models are built at their first use: a cell has few of the device types and profiles."""
 
     @field_validator("*", mode="after")
     @classmethod

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from polishd.config.cell import CellConfig
 from polishd.config.cell_sections import StepSection, TouchOffSection
@@ -20,6 +19,7 @@ from polishd.model.surface import FloatArray
 from polishd.pipeline import steps
 from polishd.pipeline.recipe import Recipe
 from polishd.process import optic_surface
+from polishd.process.frames import rotation_from_rpy_deg
 from polishd.process.removal import contact
 from polishd.process.robot import motion
 from polishd.process.toolpath.apertures import tool_axes
@@ -28,6 +28,8 @@ from polishd.process.toolpath.apertures import tool_axes
 
 TRIED = 257
 """Points from the center to the rim, to find one that is deep enough."""
+BISECTIONS = 48
+"""Halvings of a part's radius, to 1e-12 mm of 300 mm."""
 FLATTEST = 1e-3
 """Relative to the part's size: below it, three positions are so close to a line that the tilt is undetermined."""
 
@@ -47,8 +49,11 @@ def _reach_mm(outline: Outline, inside_mm: float, x: float, y: float) -> float:
         return float(outline.inside_mm(reach_mm * x, reach_mm * y)) - inside_mm
 
     tried = np.linspace(0.0, outline.radius_mm, TRIED)
-    inner = max((reach for reach in tried if deeper(reach) > 0), default=0.0)
-    return float(scipy.optimize.brentq(deeper, inner, outline.radius_mm, xtol=1e-12))
+    inner, outer = max((reach for reach in tried if deeper(reach) > 0), default=0.0), outline.radius_mm
+    for _ in range(BISECTIONS):
+        middle = (inner + outer) / 2
+        inner, outer = (middle, outer) if deeper(middle) > 0 else (inner, middle)
+    return (inner + outer) / 2
 
 
 def seat_of(asked: TouchOff, early_mm: FloatArray) -> PartSeat:
@@ -198,10 +203,10 @@ def _plan(recipe: Recipe, asked: TouchOff, place: int) -> Plan:
     make = recipe.format.make
     if make is None:
         raise ProgramError(f"touch-off: no programs are made in {recipe.format.name!r}; take an NC dialect")
-    turn = scipy.spatial.transform.Rotation.from_euler("z", -recipe.program.rotation_deg, degrees=True)
-    there = turn.apply(asked.points_mm[place] - np.asarray(recipe.program.offset_mm))
+    turn = rotation_from_rpy_deg(0.0, 0.0, -recipe.program.rotation_deg)
+    there = turn @ (asked.points_mm[place] - np.asarray(recipe.program.offset_mm))
     points = np.stack([there, there + np.array([0.0, 0.0, RISE_MM])])
-    axes = np.tile(turn.apply(asked.axis[place]), (2, 1))
+    axes = np.tile(turn @ asked.axis[place], (2, 1))
     envelope = recipe.envelope
     feed_mm_s = min(max(FEED_MM_S, envelope.min_feed_mm_s), envelope.max_feed_mm_s)
     name = f"touch-off, place {place + 1}"

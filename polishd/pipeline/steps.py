@@ -22,6 +22,7 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import CENTRED, EstimatesInUse, ExecutedPass, LearnResult, MeasureResult, SolveResult
 from polishd.pipeline.run_folder import read_program_bytes
 from polishd.process.dwell.problem import negligible_share, without_traces
+from polishd.process.frames import rotation_from_rpy_deg
 from polishd.process.identification import removal_check, residual_diagnosis
 from polishd.process.identification.findings import (
     WearIndicators,
@@ -312,13 +313,13 @@ def in_part_frame(recipe: Recipe, program: Program) -> Program:
     """Transform a program's points and axes into the part's frame, unless they are there already."""
     if program.frame == "part":
         return program
-    turn = scipy.spatial.transform.Rotation.from_euler("z", recipe.program.rotation_deg, degrees=True)
+    turn = rotation_from_rpy_deg(0.0, 0.0, recipe.program.rotation_deg).T
     offset = np.asarray(recipe.program.offset_mm)
     return replace(
         program,
-        start_mm=turn.apply(program.start_mm) + offset,
-        end_mm=turn.apply(program.end_mm) + offset,
-        axis=turn.apply(program.axis),
+        start_mm=program.start_mm @ turn + offset,
+        end_mm=program.end_mm @ turn + offset,
+        axis=program.axis @ turn,
         frame="part",
     )
 

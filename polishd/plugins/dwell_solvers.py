@@ -12,11 +12,12 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import qpsolvers
-from scipy import fft, sparse
+import scipy
+from scipy import sparse
 
 from polishd.api import (
     ComputeError,
@@ -39,6 +40,9 @@ from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import SLOWEST, TimeLimit, check
 from polishd.process.dwell.quadratic import condition
 from polishd.process.removal.spread_effect import SpreadEffect
+
+if TYPE_CHECKING:
+    import qpsolvers
 
 # The default solver: the fastest of polishd's for the effect at hand.
 
@@ -106,10 +110,27 @@ BACKENDS = {
 """In order of preference; any other is asked as it comes, and its certificate says how far it got."""
 
 
+SPARSE = (
+    "clarabel", "copt", "cvxopt", "gurobi", "highs", "kvxopt", "mosek", "osqp", "pdhcg", "piqp", "proxqp", "qpalm",
+    "qtqp", "scs", "sip",
+)  # fmt: skip
+"""Backends of qpsolvers that take sparse matrices."""
+LIBRARIES = {"copt": "coptpy", "gurobi": "gurobipy", "highs": "highspy", "proxqp": "proxsuite", "sip": "sip_qp_python"}
+"""Module of a backend where its name is another one."""
+
+
 def installed() -> list[str]:
     """The backends that are installed and take sparse matrices, those preferred first."""
+    import qpsolvers
+
     there = [name for name in qpsolvers.available_solvers if name in qpsolvers.sparse_solvers]
     return [*(name for name in BACKENDS if name in there), *sorted(set(there) - set(BACKENDS))]
+
+
+def _declared() -> list[str]:
+    """Names of the same without an import of any: qpsolvers and its backends take a twentieth of a check."""
+    others = sorted(set(SPARSE) - set(BACKENDS))
+    return [name for name in (*BACKENDS, *others) if find_spec(LIBRARIES.get(name, name)) is not None]
 
 
 def solve_qp(problem: DwellProblem, within_s: float, backend: str | None = None) -> DwellSolution:
@@ -164,6 +185,8 @@ def _forms(problem: DwellProblem, how: QpBackend) -> list[bool]:
 
 def _asked(problem: DwellProblem, name: str, with_hessian: bool, limit: TimeLimit) -> tuple[FloatArray | None, bool]:
     """(n,) dwell within the bounds that the backend found, certain or not; and whether its time was over."""
+    import qpsolvers
+
     program, unit_s = _program(problem, with_hessian)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # advice of a backend on matrix formats
@@ -184,6 +207,8 @@ def _in_time(program: qpsolvers.Problem, name: str, limit: TimeLimit) -> tuple[q
     Backends count wall seconds: one whose wall seconds were over before it had its CPU seconds is asked again, for as
     much longer as the machine was slow, if more are left than were not enough.
     """
+    import qpsolvers
+
     how = BACKENDS.get(name, QpBackend())
     slowness = 1.0
     while True:
@@ -202,6 +227,8 @@ def _program(problem: DwellProblem, with_hessian: bool) -> tuple[qpsolvers.Probl
 
     In u alone, with ``R'R`` written out, or in (u, v) with the misfit v as an equality, so that it never appears.
     """
+    import qpsolvers
+
     matrix, lower = matrix_of(problem), problem.lower_s
     m, n = matrix.shape
     weight = np.ones(m) if problem.weight is None else problem.weight[problem.solve_mask]
@@ -257,7 +284,7 @@ def _written_out(effect: ConvolutionEffect) -> sparse.csr_array:
     """(ny nx, n) nm/s: the kernels laid down at each point."""
     grid, columns, (top, left) = effect.grid, effect.lattice[1], effect.corner
     # the corner is the kernels' reach, or more where the lattice goes beyond the grid: it holds them whole
-    kernels = fft.irfft2(effect.spectra, effect.size)[:, : 2 * top + 1, : 2 * left + 1]
+    kernels = scipy.fft.irfft2(effect.spectra, effect.size)[:, : 2 * top + 1, : 2 * left + 1]
     size = np.abs(kernels).max(axis=0)
     down, across = np.nonzero(size > NEGLIGIBLE * size.max())
     if effect.n * down.size > MOST_ENTRIES:
@@ -286,5 +313,5 @@ def polishd_dwell_solvers() -> Sequence[DwellSolver]:
         DwellSolver(AUTO_NAME, solve_auto),
         *(DwellSolver(own.NAME, own.solve) for own in OWN),
         DwellSolver(QP_NAME, solve_qp),
-        *(DwellSolver(f"{QP_NAME}:{name}", partial(solve_qp, backend=name)) for name in installed()),
+        *(DwellSolver(f"{QP_NAME}:{name}", partial(solve_qp, backend=name)) for name in _declared()),
     ]

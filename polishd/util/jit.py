@@ -53,11 +53,15 @@ def _folder(version: str, sources: tuple[Path, ...]) -> str | None:
     for source in sorted(sources):
         digest.update(source.read_bytes())
     try:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-        folder = base / "polishd" / digest.hexdigest()[:16]
+        folder = cache_folder() / digest.hexdigest()[:16]
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, RuntimeError):  # the account has no home
         return None
     return str(folder)
+
+
+def cache_folder() -> Path:
+    """Return the folder of all compiled code of this user. RuntimeError where the account has no home."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "polishd"

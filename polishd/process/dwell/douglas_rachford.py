@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
+import scipy
 
 from polishd.model.dwell import DwellSolution, Start
 from polishd.model.errors import ComputeError
@@ -182,8 +182,8 @@ def _start_warm(found: SplittingState, warm: Start, time_s: FloatArray) -> None:
     dwell = np.zeros(size)
     dwell[found.where()] = time_s
     w = found.iteration.shown(split.coefficient) * dwell
-    total = sum(kernel * fft.rfft2(each) for kernel, each in zip(split.spectra, w, strict=True))
-    found.go_on_from(np.asarray(fft.irfft2(total, size)), w, split.rho, split.mu)
+    total = sum(kernel * scipy.fft.rfft2(each) for kernel, each in zip(split.spectra, w, strict=True))
+    found.go_on_from(np.asarray(scipy.fft.irfft2(total, size)), w, split.rho, split.mu)
 
 
 NAME = "douglas_rachford"

@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import linalg, sparse
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy import sparse
 
 from polishd.model.dwell import DwellSolution
 from polishd.model.errors import ComputeError
@@ -123,12 +123,12 @@ class BandedHessian:
         jitter = JITTER * float(self.band[0].max())
         while True:
             try:
-                factor = linalg.cholesky_banded(matrix, lower=True, check_finite=False)
-            except linalg.LinAlgError:
+                factor = scipy.linalg.cholesky_banded(matrix, lower=True, check_finite=False)
+            except scipy.linalg.LinAlgError:
                 matrix[0] += jitter
                 jitter *= 10
                 continue
-            return lambda y: np.asarray(linalg.cho_solve_banded((factor, True), y, check_finite=False))
+            return lambda y: np.asarray(scipy.linalg.cho_solve_banded((factor, True), y, check_finite=False))
 
 
 def _in_order(matrix: sparse.csr_array) -> tuple[Indices, Indices, Indices]:
@@ -141,7 +141,7 @@ def _in_order(matrix: sparse.csr_array) -> tuple[Indices, Indices, Indices]:
         return order, place[row], place[column]
 
     as_given = np.arange(matrix.shape[0])
-    found = np.asarray(reverse_cuthill_mckee(matrix, symmetric_mode=True), dtype=np.int64)
+    found = np.asarray(scipy.sparse.csgraph.reverse_cuthill_mckee(matrix, symmetric_mode=True), dtype=np.int64)
     return min(placed(as_given), placed(found), key=lambda o: int(np.abs(o[1] - o[2]).max(initial=0)))
 
 

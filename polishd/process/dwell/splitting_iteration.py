@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 RELAXATION = 1.9
 
@@ -64,7 +64,11 @@ class Iteration(Protocol):
 
 
 class NumpyIteration:
-    """By scipy's transforms, in either precision, fields as they are."""
+    """By scipy's transforms, in either precision, fields as they are.
+
+    y and each w lie in one array: they are transformed in one call, because a call takes longer than the transform of a
+    small part.
+    """
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
@@ -92,34 +96,36 @@ class NumpyIteration:
             "t_gain": (work.mu * firm * work.coefficient).astype(real),
             "t_price": (work.price * firm).astype(real),
             "scratch": np.empty_like(work.dwell),
+            "all": np.concatenate([work.y[None], work.w]),
+            "met": np.empty_like(work.w),
         }
+        work.y, work.w = self._fixed["all"][0], self._fixed["all"][1:]
 
     def advance(self, work: SplitProblem) -> None:
         """See Iteration."""
-        fixed, ranks = self._fixed, range(work.rank)
-        spectrum = fft.rfft2(work.y)
-        for response, w in zip(work.spectra, work.w, strict=True):
-            part = fft.rfft2(w)
-            part *= response
+        fixed = self._fixed
+        spectra = scipy.fft.rfft2(fixed["all"])
+        spectra[1:] *= work.spectra
+        spectrum = spectra[0]
+        for part in spectra[1:]:
             spectrum -= part
         spectrum *= fixed["gain"]
-        moved = [fft.irfft2(kernel * spectrum, self._size, overwrite_x=True) for kernel in fixed["back"]]
-        met = [w + change for w, change in zip(work.w, moved, strict=True)]  # with y they fulfil y = sum K w
-        for k in ranks:
-            moved[k] += met[k]  # the reflection
+        np.multiply(fixed["back"], spectrum, out=spectra[1:])
+        changes = scipy.fft.irfft2(spectra, self._size, overwrite_x=True)
+        change, moved, met = changes[0], changes[1:], fixed["met"]
+        np.add(work.w, moved, out=met)  # with y they fulfil y = sum K w
+        moved += met  # the reflection
         self._dwell_nearest_to(moved, work)
-        for k in ranks:
-            np.multiply(work.dwell, work.coefficient[k], out=moved[k])
-            moved[k] -= met[k]
-            moved[k] *= RELAXATION
-            work.w[k] += moved[k]
-        change = fft.irfft2(spectrum, self._size, overwrite_x=True)
+        np.multiply(work.dwell, work.coefficient, out=moved)
+        moved -= met
+        moved *= RELAXATION
+        work.w += moved
         change *= fixed["y_change"]
         work.y *= fixed["y_keep"]
         work.y += change
         work.y += fixed["y_add"]
 
-    def _dwell_nearest_to(self, wanted: list[Array], work: SplitProblem) -> None:
+    def _dwell_nearest_to(self, wanted: Array, work: SplitProblem) -> None:
         """The dwell within its bounds, point by point, where each w's (ny, nx), regularisation and price agree."""
         gain, scratch = self._fixed["t_gain"], self._fixed["scratch"]
         np.multiply(wanted[0], gain[0], out=work.dwell)

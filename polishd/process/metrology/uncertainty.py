@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from polishd.model.errors import MapError
 from polishd.model.surface import BoolArray, FloatArray

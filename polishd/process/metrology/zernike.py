@@ -65,11 +65,14 @@ def values(pairs: Sequence[tuple[int, int]], norm: Norm, x: FloatArray, y: Float
     found = np.empty((len(pairs), len(x)))
     for index, (n, m) in enumerate(pairs):
         term = found[index]
-        term[:] = 0.0
-        for factor in _radial(n, abs(m)):  # Horner in r^2
+        term[:], *factors = _radial(n, abs(m))
+        for factor in factors:  # Horner in r^2
             term *= square
             term += factor
-        term *= angular[abs(m)][m < 0] * (sqrt((n + 1) * (1 if m == 0 else 2)) if norm == "rms" else 1.0)
+        if m:
+            term *= angular[abs(m)][m < 0]
+        if norm == "rms":
+            term *= sqrt((n + 1) * (1 if m == 0 else 2))
     return found
 
 
@@ -109,6 +112,13 @@ _NUMBERED: dict[Ordering, Callable[[int], tuple[int, int]]] = {"noll": _noll, "f
 BLOCK = 8192
 """Samples at a time: a block of 37 terms stays in the cache."""
 
+SAMPLED = 3 * BLOCK
+"""Samples whose triangle serves as a start for that of all."""
+WELL_SAMPLED = 1e4
+"""Largest condition of the functions over these samples: a triangle of a worse one is found by QR throughout."""
+NEARLY_ORTHOGONAL = 100.0
+"""Largest condition of the products of all samples' columns: with a larger one, the samples do not stand for all."""
+
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
 """Function from the coordinates of m samples, x and y, to (k, m) values of k functions."""
 
@@ -126,6 +136,16 @@ def triangle(basis: Basis, x: FloatArray, y: FloatArray, values: FloatArray) -> 
         (k + 1, k + 1) upper triangle, zero rows below if there are fewer samples: the first k columns are the basis's
         own R, the last one is the values in the orthogonal basis; its end is the norm of what the fit leaves.
     """
+    stride = len(values) // SAMPLED
+    if stride > 1:
+        first = _triangle_by_qr(basis, x[::stride], y[::stride], values[::stride])
+        found = _triangle_near(first, basis, x, y, values)
+        if found is not None:
+            return found
+    return _triangle_by_qr(basis, x, y, values)
+
+
+def _triangle_by_qr(basis: Basis, x: FloatArray, y: FloatArray, values: FloatArray) -> FloatArray:
     found = np.zeros((0, 0))
     for start in range(0, len(values), BLOCK):
         part = slice(start, start + BLOCK)
@@ -133,6 +153,32 @@ def triangle(basis: Basis, x: FloatArray, y: FloatArray, values: FloatArray) -> 
         found = _r(np.vstack([found, block]) if found.size else block)
     size = found.shape[1]
     return np.vstack([found, np.zeros((size - len(found), size))])
+
+
+def _triangle_near(
+    first: FloatArray, basis: Basis, x: FloatArray, y: FloatArray, values: FloatArray
+) -> FloatArray | None:
+    """The triangle from that of a part of the samples; None where these do not stand for all.
+
+    In the basis that is orthogonal over some samples, the columns of all samples are nearly orthogonal. Their products
+    with each other then lose no digits, and are found in a quarter of the time of a QR decomposition.
+    """
+    if not (np.linalg.cond(first[:-1, :-1]) <= WELL_SAMPLED and abs(first[-1, -1]) > 0):
+        return None
+    turned = np.linalg.inv(first).T
+    size = len(first)
+    products = np.zeros((size, size))
+    block = np.empty((size, BLOCK))
+    for start in range(0, len(values), BLOCK):
+        part = slice(start, start + BLOCK)
+        columns = block[:, : len(values[part])]
+        columns[:-1], columns[-1] = basis(x[part], y[part]), values[part]
+        near = turned @ columns
+        products += near @ near.T
+    share = products / len(values)
+    if not (np.isfinite(share).all() and np.linalg.cond(share) <= NEARLY_ORTHOGONAL):
+        return None
+    return np.asarray(np.linalg.cholesky(products).T @ first, dtype=np.float64)
 
 
 def _r(matrix: FloatArray) -> FloatArray:

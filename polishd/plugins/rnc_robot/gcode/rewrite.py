@@ -103,7 +103,8 @@ def numbers_of(
     ProgramError at the first time that no number says: too large, or a feed of zero. ``size``: bytes of the text.
     """
     numbers = FormattedNumbers(np.zeros(len(times), dtype=np.int64), np.full(len(times), -1))
-    answer = jit.kernel(rule, size)(times, *arguments, numbers)
+    packed = (np.ascontiguousarray(one) if isinstance(one, np.ndarray) else one for one in arguments)  # compiled once
+    answer = jit.kernel(rule, size)(times, *packed, numbers)
     bad = numbers.decimals == UNWRITABLE
     if bad.any():
         index = int(np.argmax(bad))

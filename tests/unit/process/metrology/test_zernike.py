@@ -195,3 +195,42 @@ def test_terms_of_noise_scatter_as_their_covariance_says() -> None:
     seen = np.cov(np.array([one.coefficients_nm for one in drawn]).T)
     deviation = np.sqrt((stated**2 + np.outer(np.diag(stated), np.diag(stated))) / 400)
     assert (np.abs(seen - stated) < 4 * deviation).all()
+
+
+DENSE = {
+    "disc": np.hypot(*np.mgrid[-1:1:401j, -1:1:401j]) <= 1,
+    "annulus": abs(np.hypot(*np.mgrid[-1:1:401j, -1:1:401j]) - 0.8) <= 0.2,
+    "strip": np.abs(np.mgrid[-1:1:401j, -1:1:401j][0]) <= 0.4,
+    "square of a width that the stride divides": np.ones((384, 384), dtype=bool),
+}
+
+
+@pytest.mark.parametrize("name", DENSE)
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+def test_the_triangle_of_many_samples_is_that_of_qr(name: str, noise: float) -> None:
+    """Also where some samples do not stand for all, and where the terms leave nothing of the values."""
+    mask = DENSE[name]
+    x, y = zernike.unit_coordinates(mask, zernike.enclosing_circle(mask))
+    assert x.size > 2 * zernike.SAMPLED
+    pairs = order("noll", 22)
+
+    def basis(u: FloatArray, v: FloatArray) -> FloatArray:
+        return values(pairs, "rms", u, v)
+
+    heights = basis(x, y).T @ np.arange(1.0, 23.0) + noise * np.random.default_rng(3).standard_normal(x.size)
+    found, exact = (
+        one * np.where(np.diag(one) < 0, -1.0, 1.0)[:, None]
+        for one in (zernike.triangle(basis, x, y, heights), zernike._triangle_by_qr(basis, x, y, heights))
+    )
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-12 * np.abs(exact).max())
+
+
+def test_samples_that_do_not_stand_for_all_are_no_start() -> None:
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(-1, 1, (2, 60_000))
+
+    def basis(u: FloatArray, v: FloatArray) -> FloatArray:
+        return np.stack([np.ones_like(u), u, v])
+
+    few = zernike._triangle_by_qr(basis, x[:100] / 1e3, y[:100], x[:100])
+    assert zernike._triangle_near(few, basis, x, y, x + rng.standard_normal(x.size)) is None
