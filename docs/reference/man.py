@@ -36,7 +36,10 @@ def page() -> str:
 def exit_codes() -> list[tuple[str, str]]:
     """Return each code with its meaning, from the table in docs/reference/errors.md."""
     rows = (line.strip("|").split("|") for line in ERRORS.read_text(encoding="utf-8").splitlines())
-    return [(row[0].strip(), row[1].strip()) for row in rows if len(row) == 2 and row[0].strip().isdigit()]
+    found = [(row[0].strip(), row[1].strip()) for row in rows if len(row) == 2 and row[0].strip().isdigit()]
+    if not found:
+        raise ValueError(f"{ERRORS}: no table of exit codes (| code | meaning |)")
+    return found
 
 
 def _lines() -> Iterator[str]:
