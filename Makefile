@@ -22,7 +22,7 @@ demo: $(VENV)/.installed ## polish a simulated part, from the first map to the r
 	@$(BIN)/polishd demo $(ARGS)
 
 test: $(VENV)/.installed ## run one test of each kind (ARGS="...")
-	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
+	@$(ONE_THREAD) $(PYTEST) -n 4 --dist worksteal -m "not full and not slow and not hil" $(ARGS)
 
 test-all: $(VENV)/.installed ## run all tests except the long campaigns and the interop tests (ARGS="...")
 	@$(ONE_THREAD) $(PYTEST) -n 3 --dist worksteal -m "not slow and not hil" --ignore=tests/interop $(ARGS)

@@ -58,6 +58,7 @@ def test_ready_means_that_everything_is_there(shared: Cell) -> None:
     assert shared.endpoints["robot"].startswith("tcp://127.0.0.1:")
 
 
+@pytest.mark.full
 def test_the_actuator_answers_the_documented_vectors(shared: Cell) -> None:
     expected = {name: bytes.fromhex(value) for name, value in vectors("voice_coil_modbus").items()}
     coil = shared.coil()
@@ -72,6 +73,7 @@ def test_the_actuator_answers_the_documented_vectors(shared: Cell) -> None:
         coil.close()
 
 
+@pytest.mark.full
 def test_the_line_is_as_slow_as_its_baud_rate(shared: Cell) -> None:
     coil = shared.coil()
     try:

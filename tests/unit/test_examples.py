@@ -160,6 +160,7 @@ def test_a_path_from_python() -> None:
     assert len(names["points_mm"]) > 5000
 
 
+@pytest.mark.full
 def test_the_dwells_of_arrays(examples_folder: None, capsys: pytest.CaptureFixture[str]) -> None:
     first, curve, spread, tools = EXAMPLES["docs/how-to/dwell.md"]
     names: dict[str, Any] = {}

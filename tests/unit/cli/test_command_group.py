@@ -53,7 +53,7 @@ def test_the_version_is_an_option_of_polishd_only() -> None:
     assert [path for path, command in ALL.items() if any("--version" in one.opts for one in command.params)] == []
 
 
-@pytest.mark.one_of_each("path")
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("path", [(), *ALL], ids=" ".join)
 @pytest.mark.parametrize("width", [NARROW, USUAL])
 def test_help_fits_the_terminal_and_loses_no_word(path: tuple[str, ...], width: int) -> None:

@@ -120,6 +120,7 @@ def test_a_file_that_cannot_be_used(
     require_advice(polishd(*command.split(), name))
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("line", LINES)
 def test_other_bad_input(line: str, folder: Path, polishd: Polishd, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)

@@ -136,6 +136,7 @@ def test_what_cannot_be_is_refused_by_value_unit_and_point(
     assert said.err.startswith("polishd: ")
 
 
+@pytest.mark.full
 def test_the_place_of_least_change_is_shown_written_and_found_again(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("compliance", EXAMPLE, "--place", "--within", 100, "--out", tmp_path / "p.png", "--json").answer
     best, present = said["best"][0], said["present"]

@@ -112,6 +112,7 @@ TABLES: st.SearchStrategy[dict[str, Any]] = st.dictionaries(
 )
 
 
+@pytest.mark.full
 @given(TABLES, st.integers(0, 3))
 def test_scanner_finds_what_the_parser_finds(tables: dict[str, dict[str, str]], blank: int) -> None:
     lines = ["# [not] = a table"] * blank

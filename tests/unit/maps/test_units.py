@@ -22,6 +22,7 @@ def listed(path: Path, header: str, between: str = " ", wide: float = 1.0) -> Pa
     return path
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(
     ("header", "between", "pitch_mm", "nm"),
     [

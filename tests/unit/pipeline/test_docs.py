@@ -47,6 +47,7 @@ def write_map(path: Path, surface: Any) -> None:
     path.write_bytes(write(surface))
 
 
+@pytest.mark.full
 def test_the_example_runs_and_learns(site: Path, capsys: pytest.CaptureFixture[str]) -> None:
     until_pass, after_pass = EXAMPLE.split("# after the pass", 1)
     names: dict[str, Any] = {}

@@ -657,6 +657,7 @@ def test_low_orders_are_doubted_before_anything_is_learned(
     assert steps.harmful_changes(small_recipe(tolerance_nm=20.0), seen) == ()
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("language", ["rapid", "krl", "fanuc-tp", "urscript", "inform", "val3", "heidenhain"])
 def test_a_plan_in_a_robot_language_keeps_to_its_speeds_and_times(language: str) -> None:
     profile = cast(LanguageProfile, dialect(language))

@@ -205,6 +205,7 @@ class TestARun:
     def test_it_opens_offline(self, page: str) -> None:
         assert not re.search(r"https?://|src=\"(?!data:)|@import|url\(|<script|<link", page)
 
+    @pytest.mark.full
     def test_every_picture_can_be_decoded_and_is_a_file_too(self, page: str, reported: Path) -> None:
         files = {file.read_bytes() for file in (reported / "pictures").glob("*.png")}
         embedded = pictures_in(page)

@@ -118,6 +118,7 @@ def test_all_cases_come_each_once(tmp_path: Path) -> None:
     assert all(done.tries == 1 for done in found.values())
 
 
+@pytest.mark.full
 def test_a_case_that_raises_or_kills_its_worker_is_retried_once_and_reported(tmp_path: Path) -> None:
     found = worked(tmp_path, cases("", "raises", "", "dies", "", "once dies", "once raises", ""))
     assert {number: done.answer.error for number, done in found.items() if done.answer.error} == {

@@ -52,6 +52,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> PathComparison:
     return compare_paths(study, read, lambda words: None)
 
 
+@pytest.mark.full
 def test_each_family_meets_each_disturbance(compared: PathComparison) -> None:
     assert [row.disturbance for row in compared.rows[:4]] == ["as modeled", "radius +3 %", "lag 20 ms", "lines 30 um"]
     assert [row.family for row in compared.rows[::4]] == ["raster", "crossed", "random_dense"]

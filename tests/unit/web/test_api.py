@@ -38,6 +38,7 @@ def path_of(route: ApiRoute) -> str:
 ALL_BUT_THE_STREAM = [one for one in ROUTES if one.path != "/api/events"]
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("route", ALL_BUT_THE_STREAM, ids=lambda one: one.method + one.path)
 def test_each_endpoint_with_each_role(web: Served, route: ApiRoute) -> None:
     """Who may gets an answer that is no refusal of him; who may not is refused before anything is done."""

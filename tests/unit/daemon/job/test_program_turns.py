@@ -115,6 +115,7 @@ async def test_a_pass_teaches_the_pass_of_the_other_program(bench: Turns) -> Non
     assert unexplained["unexplained"] < 0.05
 
 
+@pytest.mark.full
 async def test_an_interrupted_pass_is_repeated_with_its_program_also_by_a_new_daemon(bench: Turns) -> None:
     mend = cut_off(bench, in_pass=1)
     with pytest.raises(SafetyStop):
@@ -135,6 +136,7 @@ async def test_an_interrupted_pass_is_repeated_with_its_program_also_by_a_new_da
     ]
 
 
+@pytest.mark.full
 async def test_a_program_starts_no_solver_where_another_one_ended(
     bench: Turns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,6 +159,7 @@ async def test_a_program_starts_no_solver_where_another_one_ended(
     assert warm == [False, False, True, False]
 
 
+@pytest.mark.full
 async def test_three_programs_come_round(bench: Turns) -> None:
     bench.programs = PROGRAMS
     await bench.polish(bench.job(max_cycles=4))

@@ -220,6 +220,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("case", REFUSED)
 async def test_what_is_refused_is_kept_with_its_reason(
     make: Callable[..., WatchedFolder], folder: Path, case: str
@@ -286,6 +287,7 @@ async def test_unnamed_maps_can_be_allowed(make: Callable[..., WatchedFolder], f
     assert (await make(accept_without_part_id=True).next_map(None)).part_id == ""
 
 
+@pytest.mark.full
 async def test_the_same_content_is_never_taken_twice_also_after_a_restart(
     make: Callable[..., WatchedFolder], folder: Path, tmp_path: Path
 ) -> None:
@@ -336,6 +338,7 @@ async def test_maps_from_before_the_pass_are_stale_only_after_a_pass(
         await device.next_map(first.sha256)
 
 
+@pytest.mark.full
 async def test_without_a_timestamp_the_files_time_counts(make: Callable[..., WatchedFolder], folder: Path) -> None:
     path = folder / "old.dat"
     path.write_bytes(dat(1, at=0))

@@ -18,6 +18,7 @@ EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "cell.toml"
 G_CODE = b"G21 G90 G94\nG0 X0 Y0 Z5\nG1 X1 Z0 F60\nG4 P1\nG1 X3\nG4 P.5\nG0 Z5\nM2\n"
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", sorted(LANGUAGES))
 def test_a_robot_program_is_known_by_its_text(polishd: Polishd, tmp_path: Path, name: str) -> None:
     path = tmp_path / "p.txt"

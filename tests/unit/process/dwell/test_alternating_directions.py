@@ -186,6 +186,7 @@ def test_a_warm_start_is_soon_there() -> None:
     )
 
 
+@pytest.mark.full
 def test_out_of_time_it_returns_what_it_has_and_says_so() -> None:
     asked = problem()
     found = alternating_directions.solve(asked, 0.0)

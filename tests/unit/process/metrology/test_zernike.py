@@ -205,6 +205,7 @@ DENSE = {
 }
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("name", DENSE)
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 def test_the_triangle_of_many_samples_is_that_of_qr(name: str, noise: float) -> None:

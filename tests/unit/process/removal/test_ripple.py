@@ -315,6 +315,7 @@ def test_a_tool_that_trails_lines_to_and_fro_leaves_twice_their_period() -> None
     assert found[0].rms_high_nm * 2**0.5 == pytest.approx(exact, rel=0.1)
 
 
+@pytest.mark.full
 def test_a_lag_along_an_even_removal_or_lines_of_one_direction_leaves_nothing() -> None:
     assert by_cause(with_errors(Lines(1.5), PathErrors(lag_mm=0.4)), "lag")[0].rms_high_nm < 1e-3
     blocks, time_s = Lines(1.5, slope=(1.0, 0.0)).blocks()
@@ -395,6 +396,7 @@ def test_lines_of_passes_add_with_their_phase_as_a_direct_sum_does(lines: Lines,
     assert np.abs(found - exact).max() < 0.1 * max(largest, exact.max())
 
 
+@pytest.mark.full
 def test_the_high_value_of_lines_between_lines_contains_a_part_that_lies_elsewhere() -> None:
     lines = Lines(1.5)
     first, between = of_pass(lines, 0.0), of_pass(lines, 0.5)
@@ -411,6 +413,7 @@ def test_lines_of_one_path_made_twice_add_up() -> None:
             assert getattr(total, figure) == pytest.approx(2 * getattr(single, figure))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "other", [Lines(1.51), Lines(1.5, angle_deg=0.2)], ids=["another distance", "another direction"]
 )

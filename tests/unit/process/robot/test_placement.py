@@ -72,6 +72,7 @@ def gammas(of: PlacementTask, found: PlacedPart) -> np.ndarray:
     return np.array(gamma)
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("optic", [Optic(), Optic(radius_mm=800.0)], ids=["flat", "concave"])
 @pytest.mark.parametrize("options", [ComplianceOptions(), FIXED], ids=["inward", "fixed"])
 def test_a_place_has_the_gamma_that_plans_take(options: ComplianceOptions, optic: Optic) -> None:

@@ -191,6 +191,7 @@ def test_lengths_that_are_none(pitch: float, step: float, overrun: float, landin
             raster(circle(30), pitch, step, optic=optic, overrun_mm=overrun, landing_mm=landing)
 
 
+@pytest.mark.full
 def test_a_phase_shifts_the_lines() -> None:
     both = (raster(circle(60), 2.0, 1.0, phase=phase) for phase in (0.0, 0.5))
     first, second = (np.unique(np.round(one[np.abs(one[:, 0]) < 5, 1], 6)) for one in both)

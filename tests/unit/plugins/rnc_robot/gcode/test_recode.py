@@ -155,7 +155,7 @@ ALL = [
 ]
 
 
-@pytest.mark.one_of_each("name", "before", "after")
+@pytest.mark.one_of_each
 @pytest.mark.parametrize(("name", "before", "after", "form"), ALL, ids=map("-".join, ALL))
 def test_there_and_back(name: str, before: Encoding, after: Encoding, form: str) -> None:
     old = formats.read(profile(name), written(name, before, FORMS[form]), "old.nc")

@@ -371,6 +371,7 @@ def test_a_line_longer_than_its_controller_takes_once_it_is_written() -> None:
         streamed(RS274, text, np.array([1.125]))
 
 
+@pytest.mark.full
 def test_a_file_without_line_ends_is_not_kept() -> None:
     """Something else than a program, of any size: refused before it fills the memory."""
 
