@@ -223,7 +223,7 @@ def test_a_claim_does_not_refuse_the_next_terminal_of_its_number() -> None:
         os.close(slave)
         os.close(master)
         tick = time.clock_gettime_ns(COARSE)
-        while time.clock_gettime_ns(COARSE) == tick:
+        while time.clock_gettime_ns(COARSE) - tick < 20_000_000:  # a file's time may lag behind this clock by a tick
             pass
     assert sum(map(len, keys.values())) == 8
     assert len(keys) < 8
