@@ -46,7 +46,7 @@ from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.background import PeriodicTimer
 from polishd.drivers.transport.file_delivery import Delivery, Folder
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
-from polishd.drivers.transport.program_tracker import STANDS, PollingConnection
+from polishd.drivers.transport.program_tracker import REST_S, STANDS, PollingConnection
 
 # The polled connection: samples in, heartbeats out.
 
@@ -192,7 +192,8 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         self._stay()
         if self._tracker is not None:
             self._tracker.holds = True
-        if self._link.last.plays:
+        # At a wait, too: one that is open, or that a command under way opens, lets the robot go on after a standstill.
+        if self._link.last.active or self._link.last.plays:
             await self._brake()
         await self._link.standstill("hold", self._times.stop_s)
         # The block at which it stands is reported by the watchdog's next whole cycle, and recorded one sample later.
@@ -249,11 +250,16 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         async with self._commands() as link:
             if not wanted(self._link.last.time_s):
                 return
+            holds = self._holds
             tracker.until = tracker.blocks if self._target is None else self._target
             await link.write("POLISHD_UNTIL", str(tracker.until))
             await link.write("POLISHD_GO", str(tracker.token))
-            if self._link.last.state == STOPPED and not (await link.control(ProgramOrder.START)).succeeded:
+            if self._link.last.state != STOPPED or holds != self._holds:
+                return
+            if not (await link.control(ProgramOrder.START)).succeeded:
                 raise DeviceFault(f"{self._name}: the controller does not continue. {self._hint()}")
+            if holds != self._holds:  # held meanwhile, and its stop may have come before this start
+                await link.control(ProgramOrder.STOP)
 
     async def _stop(self) -> None:
         """Stop any program, see that the robot stands, and deselect it."""
@@ -269,9 +275,11 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         link = await KvpLink.connect(self._link.address, ANSWER_S)
         try:
             await link.control(ProgramOrder.STOP)
-            deadline = time.monotonic() + self._times.stop_s
-            while (sample := KukaSample.of(await link.read(READ_NAMES))).active or not sample.robot_stopped:
-                if time.monotonic() > deadline:
+            began_s = moved_s = time.monotonic()
+            while time.monotonic() - moved_s < REST_S:
+                if (sample := KukaSample.of(await link.read(READ_NAMES))).active or not sample.robot_stopped:
+                    moved_s = time.monotonic()
+                if moved_s - began_s > self._times.stop_s:
                     raise DeviceFault(f"{self._name}: still moving {self._times.stop_s:g} s after stop")
                 await asyncio.sleep(BEAT_S)
             await self._deselect(link)

@@ -6,6 +6,8 @@ the snapshots into executed blocks. A ``ProgramRobot`` (program_robot.py) gives 
 
 from __future__ import annotations
 
+import asyncio
+import math
 import re
 from abc import ABC, abstractmethod
 from array import array
@@ -245,6 +247,8 @@ Link = TypeVar("Link")
 Snapshot = TypeVar("Snapshot")
 STANDS = 2
 """Snapshots in a row that show a standstill. One may be damaged, or from before a command."""
+REST_S = 0.1
+"""Time without motion after which a stop is over: a robot that brakes across an exact stop stands there briefly."""
 
 
 class PollingConnection(Background, ABC, Generic[Link, Snapshot]):
@@ -264,6 +268,8 @@ class PollingConnection(Background, ABC, Generic[Link, Snapshot]):
         """The last ``STANDS``, oldest first."""
         self.count = 0
         """Snapshots since the object was made."""
+        self._moved_s = -math.inf
+        """Time of the last snapshot that showed motion, on the event loop's clock."""
 
     @abstractmethod
     async def _connect(self) -> Link:
@@ -320,9 +326,16 @@ class PollingConnection(Background, ABC, Generic[Link, Snapshot]):
             await self._disconnect(link)
 
     async def standstill(self, command: str, within_s: float, after: int = STANDS) -> None:
-        """Wait until a snapshot at least ``after`` later than now shows a standstill; DeviceFault otherwise."""
-        count = self.count + after
-        if not await self.until(lambda: self.count >= count and self.stands, within_s):
+        """Wait until a snapshot at least ``after`` later than now shows a standstill; DeviceFault otherwise.
+
+        No snapshot of the last ``REST_S`` shows motion.
+        """
+        count, now_s = self.count + after, asyncio.get_running_loop().time
+
+        def is_over() -> bool:
+            return self.count >= count and self.stands and now_s() - self._moved_s >= REST_S
+
+        if not await self.until(is_over, within_s):
             raise DeviceFault(f"{self.name}: still moving {within_s:g} s after {command}. Stop it at its controller.")
 
     async def _follow(self, ready: Ready) -> None:
@@ -331,6 +344,8 @@ class PollingConnection(Background, ABC, Generic[Link, Snapshot]):
         async for snapshot in self._snapshots(self._link):
             self._recent = (*self._recent, snapshot)[-STANDS:]
             self.count += 1
+            if not self.stands:
+                self._moved_s = asyncio.get_running_loop().time()
             await self._on_snapshot(snapshot)
             if len(self._recent) == STANDS:
                 ready()
