@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.drivers.plc_robot.program_tracker import SPREAD
-from polishd.drivers.transport.program_tracker import PollingConnection, stretch_ends, time_shares
+from polishd.drivers.transport.program_tracker import STANDS, PollingConnection, stretch_ends, time_shares
 from polishd.model.errors import DeviceFault, LinkError
 from tests.patience import SOON_S
 
@@ -71,6 +71,17 @@ class Counting(PollingConnection[list[str], float]):
 
     def _stands(self, recent: Sequence[float]) -> bool:
         return not any(recent)
+
+
+async def test_a_robot_that_brakes_across_an_exact_stop_has_not_stopped_there() -> None:
+    link = Counting([5.0, 5.0, *([0.0] * 10), *([5.0] * 20), 0.0])
+    await link.open()
+    await link.standstill("hold", SOON_S)
+    assert link.taken.count(5.0) == 22
+    moved = link.count
+    await link.standstill("hold", SOON_S)
+    assert link.count - moved <= STANDS + 1, "a robot that has long stood is not waited for again"
+    await link.close()
 
 
 async def test_a_standstill_is_two_snapshots_that_are_later_than_the_command() -> None:
