@@ -206,6 +206,10 @@ def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield known
 
 
+WATCHDOG_S = 60 * PATIENT_ROBOT.watchdog_s
+"""The simulated clock runs 20 times as fast, and nine cells side by side leave a heartbeat waiting for seconds."""
+
+
 def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalRobot | FanucRmi | KukaRobot | PlcRobot:
     """The driver of a cell's robot."""
     running = cells.get(place.cell)
@@ -215,15 +219,15 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
             addresses = Addresses.of(address.host, address.port, ports["dashboard_port"], ports["primary_port"])
             # its controller's clock is the simulated one: a busy machine is silent for seconds of that
             return UniversalRobot(addresses, Settings(UrRegisters(), 10 * PATIENT_ROBOT.watchdog_s), PATIENT_ROBOT)
-        case "abb_rws":  # the simulated clock, and with it the watchdog, runs 20 times as fast
+        case "abb_rws":
             account = Account(address, "1.0", "Default User", "robotics")
-            return AbbRobot(account, replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False))
+            return AbbRobot(account, replace(PATIENT_ROBOT, watchdog_s=WATCHDOG_S, lifts=False))
         case "fanuc_rmi":
             held = {"lifts": False, "held_instructions": MOST_OUTSTANDING}
-            return FanucRmi(address, replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, **held))
+            return FanucRmi(address, replace(PATIENT_ROBOT, watchdog_s=WATCHDOG_S, **held))
         case "kuka_kvp":
             # its watchdog counts the simulated time
-            times = replace(PATIENT_ROBOT, watchdog_s=20 * PATIENT_ROBOT.watchdog_s, lifts=False)
+            times = replace(PATIENT_ROBOT, watchdog_s=WATCHDOG_S, lifts=False)
             folder = Folder(running.state / "programs")
             return KukaRobot(address, folder, "/R1/PROGRAM/", times, poll_s=0.005, load_s=10.0)
         case "handover_modbus":
