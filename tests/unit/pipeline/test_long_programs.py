@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,6 +18,7 @@ from benchmarks.long_path import (
     nc_stages,
 )
 from polishd.pipeline.disk_space import CSV_BYTES, ROW_BYTES
+from tests.memory import peak_bytes
 
 BLOCKS = 200_000
 LONG = 50_000
@@ -30,23 +29,13 @@ FIXED = 3e6
 """Of every other stage."""
 
 
-def peak(run: Callable[[], object]) -> int:
-    """Bytes beside what was held before."""
-    gc.collect()
-    tracemalloc.start()
-    try:
-        run()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
-
 def over(stages: Iterator[Stage], count: int) -> dict[str, str]:
     """Stages that took more than they may, with what they took for each block."""
     found = {}
     for name, run in stages:
-        taken = peak(run)
-        if taken > PIECES.get(name, FIXED) + BOUNDS[name] * count:
+        most = PIECES.get(name, FIXED) + BOUNDS[name] * count
+        taken = peak_bytes(run, most, readings=1)
+        if taken > most:
             found[name] = f"{taken / count:.0f} bytes, {BOUNDS[name]} may be"
     return found
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import resource
 import time
-import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pytest
 
 from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer import READERS
+from tests.memory import peak_bytes
 from tests.unit.plugins.interferometer import map_files, map_files_other
 from tests.unit.plugins.interferometer.map_mutations import mutated
 
@@ -69,19 +69,14 @@ def fuzz(name: str, part: int, count: int, folder: Path, measure_every: int) -> 
         content = mutated(valid, rng)
         path = folder / file_name
         path.write_bytes(content)
-        measured = number % measure_every == 0
-        if measured:
-            tracemalloc.start()
         try:
             maps += read_broken(reader, path) is not None
-            if measured:
-                peak = tracemalloc.get_traced_memory()[1]
-                assert peak <= 4 * len(content) + FLOOR_BYTES
+            if number % measure_every == 0:
+                most = 4 * len(content) + FLOOR_BYTES
+                assert peak_bytes(lambda path=path: read_broken(reader, path), most) <= most
         except BaseException:
             Path(f"{folder}-{name}-{part}-{number}").write_bytes(content)  # to look at
             raise
-        finally:
-            tracemalloc.stop()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - high_kib < C_FLOOR_KIB
     return maps
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 import struct
-import tracemalloc
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 
 from polishd.api import MapError
 from polishd.plugins.interferometer.formats.metropro import METROPRO, read
+from tests.memory import peak_bytes
 
 PROTOCOL = Path(__file__).resolve().parents[4] / "docs" / "protocols" / "metropro_dat.md"
 MISSING = 0x7FFFFFF8
@@ -196,19 +196,14 @@ def test_a_file_that_is_gone_or_a_folder(path: Path, tmp_path: Path) -> None:
 def test_no_more_is_allocated_than_the_file_warrants(path: Path) -> None:
     content = dat([[1000] * 400] * 400)
     path.write_bytes(content)
-    tracemalloc.start()
-    try:
-        read(path)
-        _, whole = tracemalloc.get_traced_memory()
-        path.write_bytes(dat([[1000] * 400] * 400, size=(8000, 8000)))
-        tracemalloc.reset_peak()
+    assert peak_bytes(lambda: read(path), 4 * len(content)) < 4 * len(content)
+    path.write_bytes(dat([[1000] * 400] * 400, size=(8000, 8000)))
+
+    def refused() -> None:
         with pytest.raises(MapError):
             read(path)
-        _, absurd = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert whole < 4 * len(content)
-    assert absurd < 3 * len(content)
+
+    assert peak_bytes(refused, 3 * len(content)) < 3 * len(content)
 
 
 def test_sniff() -> None:
