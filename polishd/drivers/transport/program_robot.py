@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -55,6 +56,9 @@ class ProgramRobot(ABC, Generic[Tracker]):
         """Commanded to run before the program was complete."""
         self._holds = 0
         """Number of holds: a start from before the last one is not wanted any more."""
+        self._starts = 0
+        """Number of commands to run."""
+        self._start_lock = asyncio.Lock()
 
     @property
     @abstractmethod
@@ -203,21 +207,27 @@ class ProgramRobot(ABC, Generic[Tracker]):
         return file is None or (not tracker.started and self._target not in (None, *file.stops))
 
     async def _start(self, plan: Plan, tracker: Tracker) -> None:
-        """From the beginning, or on from where it stands."""
-        holds = self._holds
+        """From the beginning, or on from where it stands. One start at a time: a controller refuses the second."""
+        holds, starts = self._holds, self._starts
         self._pending = False
-        if self._has_to_load(tracker):
-            await self._load(plan, tracker)
 
         def wanted(time_s: float) -> bool:
             if holds == self._holds:
+                self._starts += 1
                 tracker.go(time_s)
             return holds == self._holds
 
-        await self._run(tracker, wanted)
+        async with self._start_lock:
+            if holds != self._holds or (starts != self._starts and not self.stops_anywhere):
+                return  # held, or started by another call, while this one waited
+            if self._has_to_load(tracker):
+                await self._load(plan, tracker)
+            await self._run(tracker, wanted)
 
     async def _pass_stops(self) -> None:
-        """Continue from a stop that is not wanted."""
+        """Continue from a stop that is not wanted. Called with each snapshot: a start that is under way does it."""
+        if self._start_lock.locked():
+            return
         plan, tracker = self._plan, self._tracker
         if plan is None or tracker is None or tracker.held_at is None or tracker.dropped:
             return

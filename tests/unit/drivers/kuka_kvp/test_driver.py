@@ -13,6 +13,8 @@ import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError
 from polishd.drivers.kuka_kvp.driver import KukaRobot
+from polishd.drivers.kuka_kvp.protocol import KvpLink
+from polishd.drivers.transport.address import Tcp
 from tests.fakes.kuka import TIMES, FakeKuka, krl, kuka_robot
 from tests.programs import plan_of
 
@@ -236,3 +238,23 @@ async def test_feed_timed_blocks_through_blends_last_as_long_as_programmed(fake:
     await robot.resume()
     found = [one.end_s - one.start_s async for one in robot.executed() if 4 <= one.seq < 12]
     assert found == pytest.approx([0.1] * 8, abs=0.02)
+
+
+async def test_a_snapshot_starts_nothing_while_resume_does(
+    fake: FakeKuka, robot: KukaRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stop at which it stands is not wanted any more once ``resume`` has begun: two starts, the second refused."""
+    await prepared(robot, LINES)
+    await robot.resume(until=10)
+    assert await executed(robot, 10) == 10
+    await robot.hold()
+    connect = KvpLink.connect
+
+    async def late(address: Tcp, silence_s: float) -> KvpLink:
+        await asyncio.sleep(0.05)  # a slow network: ten snapshots
+        return await connect(address, silence_s)
+
+    monkeypatch.setattr(KvpLink, "connect", late)
+    await robot.resume()
+    assert await executed(robot, len(LINES)) == len(LINES)
+    assert (await robot.progress()).state == "done"
