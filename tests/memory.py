@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import tracemalloc
 from collections.abc import Callable
 
@@ -18,7 +17,6 @@ def peak_bytes(run: Callable[[], object], most: float, readings: int = READINGS)
     """
     least: int | None = None
     for _ in range(readings):
-        gc.collect()
         tracemalloc.start()
         try:
             run()

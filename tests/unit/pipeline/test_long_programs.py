@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +35,7 @@ def over(stages: Iterator[Stage], count: int) -> dict[str, str]:
     found = {}
     for name, run in stages:
         most = PIECES.get(name, FIXED) + BOUNDS[name] * count
+        gc.collect()
         taken = peak_bytes(run, most, readings=1)
         if taken > most:
             found[name] = f"{taken / count:.0f} bytes, {BOUNDS[name]} may be"
