@@ -93,8 +93,7 @@ check: $(VENV)/.installed ## check lint, format, types, layers and wording
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/mypy
-	@$(BIN)/lint-imports --no-logo
-	@$(BIN)/python -m tests.arch.words
+	@$(PYTEST) --quiet --quiet tests/arch/test_tree.py
 
 format: $(VENV)/.installed ## format the sources and apply the linter's fixes
 	@$(BIN)/ruff check --quiet --fix-only .

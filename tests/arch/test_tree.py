@@ -1,4 +1,4 @@
-"""The project itself keeps the rules. That the rules can fail is shown in test_rules.py."""
+"""The project itself keeps the rules: `make check`. That the rules can fail is shown in test_rules.py."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ def _parsed_for_these_alone() -> Iterator[None]:
     forget()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "rule", [*code_rules.RULES, *repository_rules.RULES, plain_words], ids=lambda rule: rule.__name__
 )
@@ -35,6 +36,7 @@ def test_the_tree_keeps(rule: Rule) -> None:
     assert not broken, "\n".join([str(rule.__doc__), *broken])
 
 
+@pytest.mark.full
 def test_the_layers_hold() -> None:
     """The contracts are in pyproject.toml; here they fail a test run too, with the linter's own words."""
     linter = [str(Path(sys.executable).with_name("lint-imports")), "--no-logo", "--no-cache"]

@@ -1,4 +1,4 @@
-"""Private phrases that source, messages and documentation avoid: `python -m tests.arch.words`, in `make check`.
+"""Private phrases that source, messages and documentation avoid; `make check` looks for them.
 
 The actor's name takes their place: the daemon, the driver, the solver, the operator, you. A technical use that has no
 better word is listed in ALLOWED with its reason.
@@ -7,7 +7,6 @@ better word is listed in ALLOWED with its reason.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,9 +38,3 @@ def found_words(root: Path) -> Iterator[str]:
 def plain_words(root: Path) -> list[str]:
     """Source and documentation use plain technical English: no phrase of tests/arch/words.py."""
     return list(found_words(root))
-
-
-if __name__ == "__main__":
-    broken = plain_words(Path(__file__).resolve().parents[2])
-    print("\n".join(broken))
-    sys.exit(bool(broken))

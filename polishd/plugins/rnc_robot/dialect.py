@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import re
 import tomllib
 from dataclasses import dataclass
@@ -37,8 +38,16 @@ def dialect(name_or_path: str | Path) -> AnyDialect:
             near = difflib.get_close_matches(text, DIALECTS, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(DIALECTS)}."
             raise ConfigError(f"dialect {text!r} is not known: {hint} Use a known one, or the path of a .toml")
-        return dialect(FOLDER / f"{text}.toml")
-    path = Path(name_or_path)
+        return _shipped(text)
+    return _of_file(Path(name_or_path))
+
+
+@functools.cache
+def _shipped(name: str) -> AnyDialect:
+    return _of_file(FOLDER / f"{name}.toml")
+
+
+def _of_file(path: Path) -> AnyDialect:
     content = _content(path, ())
     if content.get("kind") == "template":
         return parse(content, str(path))
