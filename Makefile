@@ -206,6 +206,7 @@ $(VENV)/.locked: requirements.lock
 
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml
 	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m compileall -q -j 0 polishd
 	@echo "compiling the functions of large plans" >&2
 	-@$(BIN)/polishd doctor --compile >&2
 	@touch $@

@@ -68,6 +68,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> str:
     return run(tmp_path_factory.mktemp("leaks"), "\n".join([CLEAN, *leaks]))
 
 
+@pytest.mark.full
 def test_what_ends_is_no_leak(output: str) -> None:
     assert re.search(rf"\b{3 + len(LEAKS)} passed, {len(LEAKS)} errors", output), output
     for name in ("a_group", "a_process", "a_spawned_process"):

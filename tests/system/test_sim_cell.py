@@ -43,10 +43,12 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         yield running
 
 
+@pytest.mark.full
 def test_the_shipped_example_is_valid() -> None:
     assert load_simulator(ROOT / "examples" / "sim.toml").plant.part_id == "DEMO-100"
 
 
+@pytest.mark.full
 def test_ready_means_that_everything_is_there(shared: Cell) -> None:
     assert set(shared.pids) == DEVICES
     assert all(alive(pid) for pid in shared.pids.values())
@@ -107,6 +109,7 @@ def test_the_spindle_runs_while_it_is_told_to(shared: Cell) -> None:
         spindle.close()
 
 
+@pytest.mark.full
 def test_a_client_library_talks_to_the_spindle(shared: Cell) -> None:
     can = pytest.importorskip("can")
     bus = can.Bus(interface="slcan", channel=str(shared.state / "spindle"), bitrate=500000, sleep_after_open=0)

@@ -23,6 +23,7 @@ def test_two_faults_and_the_job_still_comes_to_its_end() -> None:
     assert not found.wrong
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("broken", BROKEN)
 def test_a_daemon_that_breaks_a_promise_is_caught(broken: str) -> None:

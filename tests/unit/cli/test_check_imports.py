@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
 LEFT_OUT = ("matplotlib", "qpsolvers", "clarabel", "scipy.fft", "scipy.ndimage", "scipy.optimize", "scipy.interpolate")
@@ -21,6 +23,7 @@ print("imported:", *(name for name in {LEFT_OUT!r} if name in sys.modules), file
 """
 
 
+@pytest.mark.full
 def test_a_check_imports_only_what_it_uses(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     done = subprocess.run([sys.executable, "-c", SCRIPT, str(cell)], capture_output=True, text=True, check=False)

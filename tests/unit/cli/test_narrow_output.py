@@ -151,6 +151,7 @@ def on_a_terminal(*words: str, **environment: str) -> str:
     return b"".join(parts).decode()
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("words", [("--help",), ("run",), ("nothing",), ("program", "dialects")], ids=" ".join)
 def test_no_color_on_a_real_terminal(words: tuple[str, ...]) -> None:

@@ -42,6 +42,7 @@ def test_all_kinds_of_tables_are_found() -> None:
     }
 
 
+@pytest.mark.full
 def test_a_row_has_all_that_the_model_says() -> None:
     rows = write.pages()["cell.md"].splitlines()
     assert "| `edge_mm` | number | mm | `3` | >= 0 | Width of the rim" in "\n".join(rows)

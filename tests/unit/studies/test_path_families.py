@@ -61,6 +61,7 @@ def test_each_family_meets_each_disturbance(compared: PathComparison) -> None:
     assert compared.spectra_of == "radius +3 %"
 
 
+@pytest.mark.full
 def test_a_raster_has_a_line_and_a_random_path_has_none(compared: PathComparison) -> None:
     rows = {(row.family, row.disturbance): row for row in compared.rows}
     raster, random = rows["raster", "radius +3 %"], rows["random_dense", "radius +3 %"]

@@ -99,6 +99,7 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.02)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("step", ["obeying", "half of the order", "stream"])
 async def test_a_daemon_whose_page_is_killed_goes_on_and_the_page_starts_again(cell: Cell, step: str) -> None:

@@ -41,6 +41,7 @@ KINDS = {
 }
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_cell_of_each_kind_passes_its_check(tmp_path: Path, kind: str) -> None:

@@ -194,6 +194,7 @@ def test_out_of_time_it_returns_what_it_has_and_says_so() -> None:
     assert (found.time_s >= asked.lower_s).all()
 
 
+@pytest.mark.full
 def test_the_default_takes_it_where_there_is_no_matrix() -> None:
     assert solve_auto(problem(), 120.0).certificate.solver == alternating_directions.NAME
 

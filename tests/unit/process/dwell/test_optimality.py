@@ -199,6 +199,7 @@ def test_scaling_the_map_scales_the_dwell(solve: Solve, seed: int, factor: float
     assert scaled.certificate.objective == pytest.approx(factor**2 * once.certificate.objective, rel=1e-8)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @each
 @few

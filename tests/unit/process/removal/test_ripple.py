@@ -344,6 +344,7 @@ def test_a_path_without_lines_has_its_errors_too() -> None:
 # The line distance with the least ripple.
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("azimuth_deg", [0.0, 40.0, 90.0])
 def test_the_share_of_straight_lines_is_that_of_their_sum(azimuth_deg: float) -> None:
@@ -382,6 +383,7 @@ def of_pass(lines: Lines, shift: float) -> Ripple:
     return ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear())
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("shifts", [(0.0, 0.5), (0.1, 0.35), (0.2, 0.2 + 1 / 3, 0.2 + 2 / 3)], ids=str)
 @pytest.mark.parametrize("lines", [Lines(1.5), Lines(1.2, angle_deg=30.0)], ids=["along x", "at 30 degrees"])

@@ -216,6 +216,7 @@ def test_concentric_rings(phase: float) -> None:
     assert lengths(points)[5:-25].max() < 0.51
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("phase", [0.0, 0.5])
 @pytest.mark.parametrize("name", APERTURES)

@@ -155,6 +155,7 @@ def quanta(new: Program) -> Times:
     return np.array(found)
 
 
+@pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("encoding", ["feed", "dwell", "inverse"])
 @given(data=st.data())
