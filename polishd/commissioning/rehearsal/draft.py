@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import tomlkit
 
 from polishd.commissioning.rehearsal.simulated_cell import free_port
-from polishd.config.cell import FILES, CellConfig, device_options, overlay
+from polishd.config.cell import FILES, CellConfig, device_options, overlay, tool_files
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR, ControllerProfile, load_controller_profile
 from polishd.config.simulator_cell import KINDS, SECTIONS, SENSOR_PROFILE
 from polishd.config.toml_loader import join_words
@@ -173,9 +173,12 @@ def cell_text(draft: RehearsalDraft) -> str:
 def _files(draft: RehearsalDraft) -> dict[str, Any]:
     """Keys of the cell that name files, with absolute paths: the rehearsal's cell lies in another folder."""
     found: dict[str, Any] = {}
-    for key in FILES:
-        section, name = key.split(".")
-        given = draft.config.raw.get(section, {}).get(name)
+    for key in (*FILES, *tool_files(draft.config.tools)):
+        *sections, name = key.split(".")
+        table: Mapping[str, Any] = draft.config.raw
+        for section in sections:
+            table = table.get(section, {})
+        given = table.get(name)
         if isinstance(given, str):
             found[key] = str(draft.config.resolve(given).absolute())
         elif given:

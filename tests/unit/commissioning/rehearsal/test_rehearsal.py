@@ -135,6 +135,12 @@ def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(
     assert draft.notes == ["instrument.profile: there is none; the rehearsal has that of polishd demo"]
 
 
+def test_programs_of_tools_lie_where_the_cell_says(tmp_path: Path) -> None:
+    draft = made(tmp_path, CELL + '\n[tools.small]\nprogram = ["program.rnc", "sub/between.rnc"]\n')
+    found = changed(draft, tmp_path)
+    assert found["tools.small.program"] == [str(tmp_path / "program.rnc"), str(tmp_path / "sub" / "between.rnc")]
+
+
 @pytest.mark.full
 def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None:
     rate = np.zeros((9, 9))
