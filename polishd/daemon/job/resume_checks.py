@@ -86,11 +86,9 @@ def terms_of(config: CellConfig, *program_sha256: str) -> dict[str, Any]:
     A file is ``{"file", "sha256"}``; the hashes of the (first tool's) programs are those of the texts that were read.
     """
     terms = dict(_flat(config.effective())) | file_terms(config, (*FILES, *tool_files(config.tools)))
-    named = terms["program.path"]
-    if not isinstance(named, list):
-        named["sha256"] = program_sha256[0]
-    elif config.turns[0].program.paths == config.program.paths:  # those of the first tool
-        for file, sha256 in zip(named, program_sha256, strict=True):
+    if config.turns[0].program.paths == config.program.paths:  # those of the first tool; a later one may have others
+        named = terms["program.path"]
+        for file, sha256 in zip(named if isinstance(named, list) else [named], program_sha256, strict=True):
             file["sha256"] = sha256
     return terms
 

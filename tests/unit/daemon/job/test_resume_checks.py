@@ -267,3 +267,14 @@ def test_a_tool_with_programs_of_its_own_leaves_the_hashes_of_the_cells_as_they_
     terms = terms_of(load_config(cell), "aa" * 32, "bb" * 32)
     known = [hashlib.sha256(name.encode()).hexdigest() for name in (*TWO, "own.rnc", "other.rnc")]
     assert [one["sha256"] for one in (*terms["program.path"], *terms["tools.own.program"])] == known
+
+
+def test_a_program_of_a_later_tool_is_a_term_too(cell: Path) -> None:
+    """The first tool has its own program; ``program.path`` is that of the second."""
+    folder = cell.parent
+    (folder / "own.rnc").write_bytes(b"(own)\n" + (folder / "program.rnc").read_bytes())
+    cell.write_text(cell.read_text() + '\n[tools.first]\nprogram = "own.rnc"\n\n[tools.second]\n')
+    before = terms_of(load_config(cell), "aa" * 32)
+    (folder / "program.rnc").write_bytes(b"(changed)\n" + (folder / "program.rnc").read_bytes())
+    after = terms_of(load_config(cell), "aa" * 32)
+    assert {key for key in before if before[key] != after[key]} == {"program.path"}
