@@ -47,7 +47,7 @@ from polishd.drivers.fanuc_rmi.protocol import (
 )
 from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.program_robot import new_blocks
-from polishd.drivers.transport.program_tracker import PollingConnection, ProgramTracker
+from polishd.drivers.transport.program_tracker import PollingConnection, ProgramTracker, comes_to_rest
 
 LOOK_S = 0.03
 """Pause between two polls of status and pose."""
@@ -487,17 +487,17 @@ class FanucRmi:
         await session.open()
         try:
             await self._abort(session)
-            deadline, before = time.monotonic() + self._times.stop_s, await session.look()
-            while True:
-                await asyncio.sleep(LOOK_S)
-                now = await session.look()
-                if _unmoved(before, now) and not now.runs:
-                    return
-                if time.monotonic() > deadline:
-                    raise DeviceFault(
-                        f"{self._name}: still moving {self._times.stop_s:g} s after FRC_Abort. Stop it at the pendant."
-                    )
-                before = now
+            before = await session.look()
+
+            async def moves() -> bool:
+                nonlocal before
+                last, before = before, await session.look()
+                return before.runs or not _unmoved(last, before)
+
+            if not await comes_to_rest(moves, LOOK_S, self._times.stop_s):
+                raise DeviceFault(
+                    f"{self._name}: still moving {self._times.stop_s:g} s after FRC_Abort. Stop it at the pendant."
+                )
         finally:
             await session.close()
 

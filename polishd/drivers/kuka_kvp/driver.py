@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import secrets
 import time
@@ -46,7 +45,7 @@ from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.background import PeriodicTimer
 from polishd.drivers.transport.file_delivery import Delivery, Folder
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
-from polishd.drivers.transport.program_tracker import REST_S, STANDS, PollingConnection
+from polishd.drivers.transport.program_tracker import STANDS, PollingConnection, comes_to_rest
 
 # The polled connection: samples in, heartbeats out.
 
@@ -127,6 +126,7 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
 
 # The robot.
 
+LOOK_S = 0.02
 ANSWER_S = 2.0
 """Longest wait for the answer to a command."""
 CYCLE_S = 0.02
@@ -275,13 +275,13 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         link = await KvpLink.connect(self._link.address, ANSWER_S)
         try:
             await link.control(ProgramOrder.STOP)
-            began_s = moved_s = time.monotonic()
-            while time.monotonic() - moved_s < REST_S:
-                if (sample := KukaSample.of(await link.read(READ_NAMES))).active or not sample.robot_stopped:
-                    moved_s = time.monotonic()
-                if moved_s - began_s > self._times.stop_s:
-                    raise DeviceFault(f"{self._name}: still moving {self._times.stop_s:g} s after stop")
-                await asyncio.sleep(BEAT_S)
+
+            async def moves() -> bool:
+                sample = KukaSample.of(await link.read(READ_NAMES))
+                return sample.active or not sample.robot_stopped
+
+            if not await comes_to_rest(moves, LOOK_S, self._times.stop_s):
+                raise DeviceFault(f"{self._name}: still moving {self._times.stop_s:g} s after stop")
             await self._deselect(link)
         finally:
             await link.close()

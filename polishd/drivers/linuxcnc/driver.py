@@ -29,7 +29,13 @@ from polishd.config.fields import ConfigSection
 from polishd.drivers.linuxcnc.protocol import SILENCE_S, RshConnection, RshSnapshot
 from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
-from polishd.drivers.transport.program_tracker import PollingConnection, ProgramFile, ProgramTracker, time_shares
+from polishd.drivers.transport.program_tracker import (
+    PollingConnection,
+    ProgramFile,
+    ProgramTracker,
+    comes_to_rest,
+    time_shares,
+)
 from polishd.util.files import write_atomic
 
 # The polled connection: it reports LinuxCNC's state and detects standstill.
@@ -90,15 +96,15 @@ async def abort(connection: RshConnection, stop_s: float) -> None:
         if await _aborted(connection, last_try=time.monotonic() > deadline):
             break
         await asyncio.sleep(LOOK_S)
-    deadline = time.monotonic() + stop_s
     last = await connection.look()
-    while time.monotonic() < deadline:
-        await asyncio.sleep(LOOK_S)
-        look = await connection.look()
-        if look.status == "idle" and not look.moved_since(last):
-            return
-        last = look
-    raise DeviceFault(f"LinuxCNC is still moving {stop_s:g} s after abort. Stop it at its controller.")
+
+    async def moves() -> bool:
+        nonlocal last
+        before, last = last, await connection.look()
+        return last.status != "idle" or last.moved_since(before)
+
+    if not await comes_to_rest(moves, LOOK_S, stop_s):
+        raise DeviceFault(f"LinuxCNC is still moving {stop_s:g} s after abort. Stop it at its controller.")
 
 
 async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import math
 import re
+import time
 from abc import ABC, abstractmethod
 from array import array
 from bisect import bisect_left
@@ -249,6 +250,21 @@ STANDS = 2
 """Snapshots in a row that show a standstill. One may be damaged, or from before a command."""
 REST_S = 0.1
 """Time without motion after which a stop is over: a robot that brakes across an exact stop stands there briefly."""
+
+
+async def comes_to_rest(moves: Callable[[], Awaitable[bool]], every_s: float, within_s: float) -> bool:
+    """Ask over a link that is not polled until no answer of ``REST_S`` shows motion. False: not within the time."""
+    began_s = moved_s = time.monotonic()
+    while True:
+        is_moving = await moves()
+        now_s = time.monotonic()
+        if is_moving:
+            moved_s = now_s
+        elif now_s - moved_s >= REST_S:
+            return True
+        if now_s - began_s > within_s:
+            return False
+        await asyncio.sleep(every_s)
 
 
 class PollingConnection(Background, ABC, Generic[Link, Snapshot]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.drivers.plc_robot.program_tracker import SPREAD
-from polishd.drivers.transport.program_tracker import STANDS, PollingConnection, stretch_ends, time_shares
+from polishd.drivers.transport import program_tracker
+from polishd.drivers.transport.program_tracker import (
+    STANDS,
+    PollingConnection,
+    comes_to_rest,
+    stretch_ends,
+    time_shares,
+)
 from polishd.model.errors import DeviceFault, LinkError
 from tests.patience import SOON_S
 
@@ -122,3 +130,32 @@ async def test_a_link_that_brings_no_two_snapshots_is_closed_again() -> None:
     assert link.closed == 1
     with pytest.raises(LinkError, match="not open"):
         _ = link.last
+
+
+@pytest.mark.parametrize(
+    ("moving", "rests", "asked"),
+    [
+        ("m.....", True, 5),
+        ("m...m.....", True, 9),  # stood for 94 ms, as across an exact stop
+        ("mmmmmmmmmmm", False, 11),
+        (".....", True, 5),
+    ],
+)
+async def test_it_rests_once_it_has_stood_for_a_time(
+    moving: str, rests: bool, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked each 31.25 ms, for 0.3 s at most."""
+    clock = SimpleNamespace(now_s=0.0, asked=0)
+
+    async def pause(seconds: float) -> None:
+        clock.now_s += seconds
+
+    monkeypatch.setattr(program_tracker, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    monkeypatch.setattr(program_tracker, "asyncio", SimpleNamespace(sleep=pause))
+
+    async def moves() -> bool:
+        clock.asked += 1
+        return moving[clock.asked - 1] == "m"
+
+    assert await comes_to_rest(moves, 0.03125, 0.3) is rests
+    assert clock.asked == asked
