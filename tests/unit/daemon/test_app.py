@@ -468,6 +468,7 @@ class Site:
             base_dir=tmp_path,
             notify={},
             part=SimpleNamespace(id="P-1"),
+            program=SimpleNamespace(paths=("program.rnc",)),
             job=SimpleNamespace(id="small", max_cycles=3, stream_ahead_s=8.0),
             resolve=lambda text: tmp_path / text,
             effective=lambda: {"part": self.part, "program": {"path": "program.rnc"}},
