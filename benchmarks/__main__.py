@@ -25,7 +25,7 @@ from benchmarks.harness import Row
 
 OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
-BY_NAME = ("choice", "dwell_million", "moving_matrix", "size", "sweeps")
+BY_NAME = ("choice", "dwell_large", "dwell_million", "effect", "long_programs", "moving_matrix", "size", "sweeps")
 """Benchmarks that run only by name: they take the longest."""
 Keep = Callable[[Row], None]
 
