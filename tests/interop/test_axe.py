@@ -24,6 +24,9 @@ VIEWS = {
     "measuring": ("dashboard",),
 }
 
+DRAWN = "document.querySelector('#view [data-ready]') !== null"
+READY = {"dashboard": DASHBOARD, "maps": DRAWN, "cell": DRAWN}
+
 
 def faults_of(page: Page) -> list[str]:
     """Everything that axe calls a violation."""
@@ -54,7 +57,7 @@ def test_no_view_has_a_fault(tmp_path: Path, axe: str, scene: str) -> None:
                 for scheme in ("light", "dark"):
                     aim(page, width, height, scheme)
                     server.show(page, view)
-                    page.until(DASHBOARD if view == "dashboard" else "document.querySelectorAll('#view *').length > 10")
+                    page.until(READY.get(view, "document.querySelectorAll('#view *').length > 10"))
                     page.run(axe)
                     found[f"{view} {width}x{height} {scheme}"] = faults_of(page)
         if scene == "held":

@@ -268,6 +268,7 @@ export function mount(root, ctx) {
     now.view = { ...was, x: shift(now.cursor[0], was.x, half[0]), y: shift(now.cursor[1], was.y, half[1]) };
   }
 
+  arrange(); // what has no content yet has no label either
   const end = onChange([map, flat, upright, stage], show);
   return {
     update() { if (now.look === "flat" && now.path) show(); },
