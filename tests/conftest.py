@@ -127,7 +127,7 @@ async def leaves_no_task() -> AsyncIterator[None]:
 
 
 def children() -> dict[int, str]:
-    """Command lines of our live child processes by pid. Only Linux tells; elsewhere there seem to be none.
+    """Command lines of our live child processes by pid. Linux only: elsewhere there seem to be none.
 
     Called twice a test, where each thread is a file: without Path, which takes three times as long.
     """

@@ -38,7 +38,7 @@ def test_the_tree_keeps(rule: Rule) -> None:
 
 @pytest.mark.full
 def test_the_layers_hold() -> None:
-    """The contracts are in pyproject.toml; here they fail a test run too, with the linter's own words."""
+    """The contracts are in pyproject.toml; a breach fails with the linter's own message."""
     linter = [str(Path(sys.executable).with_name("lint-imports")), "--no-logo", "--no-cache"]
     result = subprocess.run(linter, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr

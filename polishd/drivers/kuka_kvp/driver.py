@@ -127,6 +127,7 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
 # The robot.
 
 LOOK_S = 0.02
+"""Pause between two readings over a new link."""
 ANSWER_S = 2.0
 """Longest wait for the answer to a command."""
 CYCLE_S = 0.02
