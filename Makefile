@@ -193,7 +193,8 @@ clean: ## remove all generated files
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A changed lock starts from an empty environment, so that nothing unlocked lingers; a changed pyproject.toml only
-# renews our own entry points. Without a folder that keeps compiled code the first large plan compiles it.
+# renews our own entry points. Without a folder that keeps compiled code the first large plan compiles it. The tests are
+# compiled beside it, on the other core: otherwise each worker of the first make test compiles them all.
 $(VENV)/.locked: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	    { echo "polishd needs Python 3.11 or newer, and $(PYTHON) is not: make PYTHON=python3.11 ..." >&2; exit 1; }
@@ -207,6 +208,6 @@ $(VENV)/.locked: requirements.lock
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -m compileall -q -j 0 polishd
-	@echo "compiling the functions of large plans" >&2
-	-@$(BIN)/polishd doctor --compile >&2
+	@echo "compiling the functions of large plans, and the tests" >&2
+	@$(PYTEST) --collect-only -qq >/dev/null & $(BIN)/polishd doctor --compile >&2; wait
 	@touch $@
