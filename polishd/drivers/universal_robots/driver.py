@@ -7,7 +7,7 @@ import re
 import secrets
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
@@ -230,13 +230,22 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         super().__init__(addresses.rtde.host, times)
         self._addresses = addresses
         self._settings = settings
-        self._link = RtdeConnection(addresses.rtde, rate_hz, settings.registers, times.silence_s, self._seen)
+        self._rate_hz = rate_hz
+        self._link = self._make_connection(self._seen)
         self._claimed: list[Claim] = []
         """Claims on all servers of the controller; the dashboard is connected for each request only."""
 
     @property
     def _connection(self) -> RtdeConnection:
         return self._link
+
+    def _make_connection(
+        self, on_sample: Callable[[RtdeSample], Awaitable[None]], *, has_inputs: bool = True
+    ) -> RtdeConnection:
+        registers, silence_s = self._settings.registers, self._times.silence_s
+        return RtdeConnection(
+            self._addresses.rtde, self._rate_hz, registers, silence_s, on_sample, has_inputs=has_inputs
+        )
 
     @property
     def buffer_s(self) -> float:
@@ -349,7 +358,20 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
         await link.standstill("stop", stop_s)
 
     async def _stop_anew(self) -> None:
+        """Stop by the dashboard, which does not report motion: RTDE shows it. LinkError if it cannot be opened."""
         await stop(self._addresses.dashboard, self._times.stop_s)
+        # without inputs: the controller may still reserve those of the lost link
+        link = self._make_connection(_ignore, has_inputs=False)
+        try:
+            await link.open()
+            await link.standstill("stop", self._times.stop_s)
+        except (LinkError, ProtocolError, DeviceRefused) as error:
+            raise LinkError(
+                f"{self._name}: the dashboard reports that no program runs, but RTDE does not show that the robot "
+                f"stands: {error}. See that it stands, then check the link."
+            ) from error
+        finally:
+            await link.close()
 
     async def _seen(self, sample: RtdeSample) -> None:
         """Record the controller's state; a program that has ended gets no more heartbeats."""
@@ -390,6 +412,10 @@ class UniversalRobot(ProgramRobot[UrProgramTracker]):
     def _drop(self) -> None:
         self._link.orders = None
         super()._drop()
+
+
+async def _ignore(_sample: RtdeSample) -> None:
+    """Receive a sample that only ``standstill`` uses."""
 
 
 # The device type ``universal_robots``: a robot on a Universal Robots controller (docs/how-to/universal-robots.md).

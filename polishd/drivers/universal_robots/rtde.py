@@ -330,12 +330,16 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
         registers: UrRegisters,
         silence_s: float,
         on_sample: Callable[[RtdeSample], Awaitable[None]],
+        *,
+        has_inputs: bool = True,
     ) -> None:
+        """``has_inputs``: it writes the registers, which only one client may do. Without, it only receives samples."""
         super().__init__(str(address), OPEN_S, on_sample)
         self._address = address
         self._rate_hz = rate_hz
         self._registers = registers
         self._silence_s = silence_s
+        self._has_inputs = has_inputs
         self._inputs: RtdeRecipe | None = None
         self._outputs: RtdeRecipe | None = None
         self._beat = 0
@@ -371,7 +375,8 @@ class RtdeConnection(PollingConnection[ByteStream, RtdeSample]):
         outputs, inputs = (*OUTPUTS, *self._registers.outputs()), self._registers.inputs()
         answer = await self._ask(packages, ask_outputs(self._rate_hz, outputs))
         self._outputs = RtdeRecipe.answered(outputs, answer, "outputs")
-        self._inputs = RtdeRecipe.answered(inputs, await self._ask(packages, ask_inputs(inputs)), "inputs")
+        if self._has_inputs:
+            self._inputs = RtdeRecipe.answered(inputs, await self._ask(packages, ask_inputs(inputs)), "inputs")
         if not accepted(await self._ask(packages, encode(PackageType.START))):
             raise DeviceRefused(f"{self._address}: RTDE does not start")
 

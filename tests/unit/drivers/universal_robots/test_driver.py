@@ -16,6 +16,8 @@ from itertools import pairwise
 import pytest
 
 from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, ExecutedBlock, LinkError, RobotTimes
+from polishd.drivers.transport.address import Tcp
+from polishd.drivers.universal_robots import driver
 from polishd.drivers.universal_robots.driver import UniversalRobot
 from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
@@ -77,6 +79,10 @@ async def run(rig: Rig, blocks: int = 3) -> None:
     await rig.robot.resume()
     await executed(rig.robot, blocks)
     assert rig.machine.active
+
+
+async def confirm_at_once(_address: Tcp, _within_s: float) -> None:
+    """The dashboard's stop, confirmed although nothing stops."""
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -144,7 +150,7 @@ async def test_the_dashboard_serves_another_client_beside_the_driver(rig: Rig) -
             assert (await reader.readline()).startswith(b"Connected: Universal Robots Dashboard Server")
         await run(rig)
         assert await asked(0, b"running") == b"Program running: true\n"
-        rig.fake.wires[0].cut()
+        rig.fake.wires[0].drop()
         await rig.robot.make_safe()
         assert rig.machine.runtime == m.STOPPED
         assert await asked(1, b"get robot model") == b"UR5\n"
@@ -156,7 +162,7 @@ async def test_the_dashboard_serves_another_client_beside_the_driver(rig: Rig) -
 
 async def test_a_cut_link_leaves_it_running_and_make_safe_stops_it_by_the_dashboard(rig: Rig) -> None:
     await run(rig)
-    rig.fake.wires[0].cut()
+    rig.fake.wires[0].drop()
     with pytest.raises(LinkError):
         await executed(rig.robot)
     assert rig.robot.buffer_s == 0.0
@@ -164,6 +170,59 @@ async def test_a_cut_link_leaves_it_running_and_make_safe_stops_it_by_the_dashbo
     await rig.robot.make_safe()
     assert rig.machine.runtime == m.STOPPED
     assert not rig.machine.arm.moves
+    await until(lambda: not rig.fake.clients)  # the connection that showed it is closed
+
+
+async def test_a_stop_that_rtde_does_not_show_is_not_confirmed(rig: Rig) -> None:
+    await run(rig)
+    rig.fake.wires[0].cut()
+    with pytest.raises(LinkError, match="RTDE does not show that the robot stands"):
+        await rig.robot.make_safe()
+    assert rig.machine.runtime == m.STOPPED, "the dashboard stopped it all the same"
+
+
+async def test_a_robot_that_moves_after_the_dashboards_answer_is_waited_for(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot moves for five more samples of the new connection."""
+    await run(rig)
+    rig.fake.wires[0].drop()
+    samples: list[bytes] = []
+
+    def stop_late(data: bytes) -> list[bytes]:
+        samples.extend([data] if data[2] == DATA else [])
+        if len(samples) == 5:
+            rig.machine.stop()
+        return [data]
+
+    monkeypatch.setattr(driver, "stop", confirm_at_once)
+    rig.fake.filter = stop_late
+    await rig.robot.make_safe()
+    assert len(samples) > 5
+    assert rig.fake.stands
+
+
+async def test_a_robot_that_goes_on_after_the_dashboards_answer_is_a_fault(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await run(rig)
+    rig.fake.wires[0].drop()
+    monkeypatch.setattr(driver, "stop", confirm_at_once)
+    rig.robot._times = replace(TIMES, stop_s=0.2)
+    with pytest.raises(DeviceFault, match=r"moving 0\.2 s after stop"):
+        await rig.robot.make_safe()
+
+
+async def test_inputs_that_another_client_writes_do_not_hinder_a_stop(rig: Rig) -> None:
+    """As those of the lost link, until the controller has noticed the loss."""
+    await run(rig)
+    await rig.robot.close()
+    await until(lambda: not rig.fake.held.by)
+    with socket.create_connection((LOOPBACK, rig.fake.addresses.rtde.port)) as other:
+        other.sendall(pack(VERSION, b"\0\2") + pack(SET_INPUTS, b"input_int_register_26"))
+        await until(lambda: "input_int_register_26" in rig.fake.held.by)
+        await rig.robot.make_safe()
+    assert rig.fake.stands
 
 
 @pytest.mark.full
