@@ -215,13 +215,14 @@ class RmiPoller(PollingConnection[RmiSession, RmiSnapshot]):
             await asyncio.sleep(LOOK_S)
 
     def _stands(self, recent: Sequence[RmiSnapshot]) -> bool:
-        return _unmoved(recent[0], recent[-1]) and not any(snapshot.runs for snapshot in recent)
+        return not _moves(recent[0], recent[-1]) and not any(snapshot.runs for snapshot in recent)
 
 
-def _unmoved(first: RmiSnapshot, last: RmiSnapshot) -> bool:
+def _moves(first: RmiSnapshot, last: RmiSnapshot) -> bool:
+    """Whether the later snapshot shows that instructions are executed, or that the robot has moved since the first."""
     steps = [abs(a - b) for a, b in zip(first.pose, last.pose, strict=True)]
     turns = [min(step, 360.0 - step) for step in steps[3:]]
-    return max(steps[:3]) <= STILL_MM and max(turns) <= STILL_DEG
+    return last.runs or max(steps[:3]) > STILL_MM or max(turns) > STILL_DEG
 
 
 class FanucRmi:
@@ -487,14 +488,7 @@ class FanucRmi:
         await session.open()
         try:
             await self._abort(session)
-            before = await session.look()
-
-            async def moves() -> bool:
-                nonlocal before
-                last, before = before, await session.look()
-                return before.runs or not _unmoved(last, before)
-
-            if not await comes_to_rest(moves, LOOK_S, self._times.stop_s):
+            if not await comes_to_rest(session.look, _moves, LOOK_S, self._times.stop_s):
                 raise DeviceFault(
                     f"{self._name}: still moving {self._times.stop_s:g} s after FRC_Abort. Stop it at the pendant."
                 )

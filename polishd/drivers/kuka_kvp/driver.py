@@ -277,11 +277,13 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         try:
             await link.control(ProgramOrder.STOP)
 
-            async def moves() -> bool:
-                sample = KukaSample.of(await link.read(READ_NAMES))
-                return sample.active or not sample.robot_stopped
+            async def read() -> KukaSample:
+                return KukaSample.of(await link.read(READ_NAMES))
 
-            if not await comes_to_rest(moves, LOOK_S, self._times.stop_s):
+            def moves(_before: KukaSample, last: KukaSample) -> bool:
+                return last.active or not last.robot_stopped
+
+            if not await comes_to_rest(read, moves, LOOK_S, self._times.stop_s):
                 raise DeviceFault(f"{self._name}: still moving {self._times.stop_s:g} s after stop")
             await self._deselect(link)
         finally:

@@ -87,24 +87,15 @@ class RshPoller(PollingConnection[RshConnection, RshSnapshot]):
 
 
 async def abort(connection: RshConnection, stop_s: float) -> None:
-    """Abort and confirm standstill. A machine that is off refuses the command, and stands still.
+    """Abort. A machine that is off refuses the command, and stands still: DeviceRefused otherwise, after ``stop_s``.
 
     A client that took control meanwhile loses it; the gateway returns it after the end of this link.
     """
     deadline = time.monotonic() + stop_s
     while True:
         if await _aborted(connection, last_try=time.monotonic() > deadline):
-            break
+            return
         await asyncio.sleep(LOOK_S)
-    last = await connection.look()
-
-    async def moves() -> bool:
-        nonlocal last
-        before, last = last, await connection.look()
-        return last.status != "idle" or last.moved_since(before)
-
-    if not await comes_to_rest(moves, LOOK_S, stop_s):
-        raise DeviceFault(f"LinuxCNC is still moving {stop_s:g} s after abort. Stop it at its controller.")
 
 
 async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:
@@ -119,6 +110,10 @@ async def _aborted(connection: RshConnection, *, last_try: bool) -> bool:
             raise
         return False
     return True
+
+
+def _moves(before: RshSnapshot, last: RshSnapshot) -> bool:
+    return last.status != "idle" or last.moved_since(before)
 
 
 async def obstacle(connection: RshConnection) -> str:
@@ -331,14 +326,21 @@ class LinuxCnc(ProgramRobot[LinuxCncProgramTracker]):
         return DeviceStatus(ready=not why, safe=self._poller.stands, state=self._poller.last.status, detail=why)
 
     async def _stop(self) -> None:
-        await abort(self._poller.link, self._times.stop_s)
-        await self._poller.standstill("abort", self._times.stop_s)
+        poller, stop_s = self._poller, self._times.stop_s
+        await abort(poller.link, stop_s)
+        if not await poller.until(lambda: poller.last.status == "idle", stop_s):  # a paused program stands, too
+            raise DeviceFault(f"{self._name}: the program still runs {stop_s:g} s after abort. Stop it at LinuxCNC.")
+        await poller.standstill("abort", stop_s)
 
     async def _stop_anew(self) -> None:
         connection = RshConnection(self._address, self._passwords, self._times.silence_s)
         await connection.open()
         try:
             await abort(connection, self._times.stop_s)
+            if not await comes_to_rest(connection.look, _moves, LOOK_S, self._times.stop_s):
+                raise DeviceFault(
+                    f"{self._name}: still moving {self._times.stop_s:g} s after abort. Stop it at LinuxCNC."
+                )
         finally:
             await connection.close()
 

@@ -252,19 +252,28 @@ REST_S = 0.1
 """Time without motion after which a stop is over: a robot that brakes across an exact stop stands there briefly."""
 
 
-async def comes_to_rest(moves: Callable[[], Awaitable[bool]], every_s: float, within_s: float) -> bool:
-    """Ask over a link that is not polled until no answer of ``REST_S`` shows motion. False: not within the time."""
+async def comes_to_rest(
+    read: Callable[[], Awaitable[Snapshot]],
+    moves: Callable[[Snapshot, Snapshot], bool],
+    every_s: float,
+    within_s: float,
+) -> bool:
+    """Read snapshots over a link that is not polled until ``REST_S`` shows no motion. False: not within the time.
+
+    ``moves(before, last)``: whether two snapshots in a row show motion, or a program that runs.
+    """
     began_s = moved_s = time.monotonic()
+    last = await read()
     while True:
-        is_moving = await moves()
+        await asyncio.sleep(every_s)
+        before, last = last, await read()
         now_s = time.monotonic()
-        if is_moving:
+        if moves(before, last):
             moved_s = now_s
         elif now_s - moved_s >= REST_S:
             return True
         if now_s - began_s > within_s:
             return False
-        await asyncio.sleep(every_s)
 
 
 class PollingConnection(Background, ABC, Generic[Link, Snapshot]):

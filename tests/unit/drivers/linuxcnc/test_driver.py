@@ -302,7 +302,21 @@ async def test_a_machine_that_does_not_stop_is_a_fault(rig: Rig) -> None:
     rig.fake._obey = lambda name, value: None  # type: ignore[method-assign]
     with pytest.raises(DeviceFault, match=r"moving 0\.2 s after pause"):
         await rig.robot.hold()
-    with pytest.raises(DeviceFault, match=r"moving 0\.2 s after abort"):
+    with pytest.raises(DeviceFault, match=r"still runs 0\.2 s after abort"):
+        await rig.robot.make_safe()
+    await rig.robot.close()
+    with pytest.raises(DeviceFault, match=r"still moving 0\.2 s after abort"):
+        await rig.robot.make_safe()
+
+
+async def test_a_program_that_stays_paused_after_an_abort_is_a_fault(rig: Rig) -> None:
+    """The robot stands, but its operator could continue."""
+    rig.robot._times = RobotTimes(stop_s=0.2)
+    await load(rig.robot)
+    await rig.robot.resume()
+    await rig.robot.hold()
+    rig.fake._obey = lambda name, value: None  # type: ignore[method-assign]
+    with pytest.raises(DeviceFault, match=r"still runs 0\.2 s after abort"):
         await rig.robot.make_safe()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
+from operator import ne
 from types import SimpleNamespace
 
 import numpy as np
@@ -133,19 +134,20 @@ async def test_a_link_that_brings_no_two_snapshots_is_closed_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("moving", "rests", "asked"),
+    ("positions", "rests", "asked"),
     [
-        ("m.....", True, 5),
-        ("m...m.....", True, 9),  # stood for 94 ms, as across an exact stop
-        ("mmmmmmmmmmm", False, 11),
-        (".....", True, 5),
+        ("00000", True, 5),
+        ("011111", True, 6),
+        ("0111122222", True, 10),  # stood for 94 ms, as across an exact stop
+        ("0123456789a", False, 11),
     ],
 )
 async def test_it_rests_once_it_has_stood_for_a_time(
-    moving: str, rests: bool, asked: int, monkeypatch: pytest.MonkeyPatch
+    positions: str, rests: bool, asked: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Asked each 31.25 ms, for 0.3 s at most."""
-    clock = SimpleNamespace(now_s=0.0, asked=0)
+    """Read each 31.25 ms, for 0.3 s at most."""
+    clock = SimpleNamespace(now_s=0.0)
+    left = list(positions)
 
     async def pause(seconds: float) -> None:
         clock.now_s += seconds
@@ -153,9 +155,8 @@ async def test_it_rests_once_it_has_stood_for_a_time(
     monkeypatch.setattr(program_tracker, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
     monkeypatch.setattr(program_tracker, "asyncio", SimpleNamespace(sleep=pause))
 
-    async def moves() -> bool:
-        clock.asked += 1
-        return moving[clock.asked - 1] == "m"
+    async def read() -> str:
+        return left.pop(0)
 
-    assert await comes_to_rest(moves, 0.03125, 0.3) is rests
-    assert clock.asked == asked
+    assert await comes_to_rest(read, ne, 0.03125, 0.3) is rests
+    assert len(positions) - len(left) == asked
