@@ -433,7 +433,7 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
         draft.instead(f"{device}.first_register", FIRST_REGISTER, "the simulated arm is watched at that register")
 
 
-ABB_NAMES = {"task": "T_ROB1", "watch_task": "T_POLISHD", "home": "$HOME"}
+ABB_NAMES = {"task": "T_ROB1", "mechanical_unit": "ROB_1", "watch_task": "T_POLISHD", "home": "$HOME"}
 """Names in the simulated ABB controller."""
 
 

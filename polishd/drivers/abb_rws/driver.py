@@ -50,6 +50,8 @@ MOST_HEARTBEAT_S = 1.0
 BEATS = 1 << 15
 FULL = 0.005
 """Tolerance of the speed ratio's full value, share."""
+STILL_DEG = 0.01
+"""Change of a joint angle between two readings below which the robot stands."""
 CLEAR_S = 2.0
 """Longest time for the background task to act."""
 WATCH_MODULE = "polishd_watch"
@@ -62,6 +64,8 @@ class Tasks:
 
     motion: str = "T_ROB1"
     watch: str = "T_POLISHD"
+    unit: str = "ROB_1"
+    """Mechanical unit that the motion task moves."""
 
     def watched(self, name: str) -> Symbol:
         """Return a variable of the background task."""
@@ -96,6 +100,8 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
         self._beats = 0
         self._beaten_s = self._echoed_s = 0.0
         self._panel = 0
+        self._joints: tuple[float, ...] | None = None
+        """Of the last reading; None while a program runs."""
         self._orders = 0
         """Number of commands to run."""
 
@@ -116,7 +122,7 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
     def ordered(self) -> None:
         """Take the controller as running from now on, until it reports otherwise."""
         self._orders += 1
-        self._report = replace(self._report, running=True)
+        self._report = replace(self._report, running=True, moved=True)
 
     async def _connect(self) -> RwsServices:
         services = RwsServices(self._account, self._times.silence_s)
@@ -128,6 +134,7 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
                 mode=await services.panel(MODE),
                 speed=float(await services.panel(SPEED)) / 100.0,
             )
+            self._joints = await services.joints(self._tasks.unit)
             self._echoed_s = self._beaten_s = 0.0
             self._has_module = False
             with contextlib.suppress(DeviceRefused):  # no such variable: ``prepare`` refuses
@@ -146,7 +153,7 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
         await link.close()
 
     def _stands(self, recent: Sequence[RwsReport]) -> bool:
-        return not any(report.running for report in recent)
+        return not any(report.running for report in recent) and not recent[-1].moved
 
     async def _snapshots(self, link: RwsServices) -> AsyncIterator[RwsReport]:
         due_s = time.monotonic()
@@ -182,6 +189,7 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
 
     async def _poll(self, link: RwsServices) -> None:
         await self._read_execution(link)
+        await self._read_motion(link)
         if self._has_module and link.events is None and self._report.running:
             await self._read_counts(link)
         await self._read_panel(link, (CTRL_STATE[link.version], MODE, SPEED)[self._panel])
@@ -201,6 +209,17 @@ class RwsConnection(PollingConnection[RwsServices, RwsReport]):
                 await self._read_panel(link, resource)
         if orders == self._orders:  # else it was read before the command to run
             self._report = replace(self._report, running=running)
+
+    async def _read_motion(self, link: RwsServices) -> None:
+        """Read whether the robot moves although no program runs: the execution state is not the motion's."""
+        if self._report.running:
+            self._joints = None
+            self._report = replace(self._report, moved=True)
+            return
+        orders, before, self._joints = self._orders, self._joints, await link.joints(self._tasks.unit)
+        moved = before is None or any(abs(a - b) > STILL_DEG for a, b in zip(before, self._joints, strict=True))
+        if orders == self._orders:  # else it was read before the command to run
+            self._report = replace(self._report, moved=moved)
 
     async def _read_panel(self, link: RwsServices, resource: str) -> None:
         if "opmode" in resource:
@@ -313,7 +332,7 @@ class AbbRobot(ProgramRobot[AbbProgramTracker]):
         return DeviceIdentity("ABB", name, str(state.get("sysid", "unknown")), f"RobotWare {version}")
 
     async def status(self) -> DeviceStatus:
-        """See Device. Ready: it would run a program as written. Safe: no program runs."""
+        """See Device. Ready: it would run a program as written. Safe: no program runs, and standstill."""
         count = self._link.count + 1
         await self._link.until(lambda: self._link.count >= count)
         report, why = self._link.last, self._unready()
@@ -456,6 +475,8 @@ class AbbRwsOptions(ConfigSection):
     """Of 2.0: PEM file with the controller's certificate, or its issuer's; empty: any certificate is accepted."""
     task: str = "T_ROB1"
     """Motion task of the robot."""
+    mechanical_unit: str = "ROB_1"
+    """Mechanical unit that this task moves: its joint angles show whether the robot stands."""
     watch_task: str = "T_POLISHD"
     """Background task that runs ``polishd_watch.mod``."""
     home: str = "$HOME"
@@ -478,7 +499,8 @@ def _build(options: AbbRwsOptions, context: DeviceContext) -> AbbRobot:
     report_s = EVENT_S if subscribes else POLLED_S + 6 * REQUEST_S
     times = RobotTimes(options.silence_s, options.watchdog_s, options.stop_s, lifts=False, report_s=report_s)
     account = Account(address, options.version, options.user, password, tls)
-    return AbbRobot(account, times, Tasks(options.task, options.watch_task), home=options.home, subscribes=subscribes)
+    tasks = Tasks(options.task, options.watch_task, options.mechanical_unit)
+    return AbbRobot(account, times, tasks, home=options.home, subscribes=subscribes)
 
 
 def tls_context(certificate: str, base_dir: Path) -> ssl.SSLContext:

@@ -34,6 +34,8 @@ class RwsReport:
 
     running: bool
     """Whether it runs its normal tasks."""
+    moved: bool = True
+    """Whether its joints have moved between the last two readings; True until two readings while no program runs."""
     state: str = "motoron"
     mode: str = "AUTO"
     speed: float = 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import ssl
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -57,6 +58,8 @@ START = {
     "regain": "continue", "execmode": "continue", "cycle": "once", "condition": "none", "stopatbp": "disabled",
     "alltaskbytsp": "false",
 }  # fmt: skip
+JOINTS = (*(f"rax_{number}" for number in range(1, 7)), *(f"eax_{letter}" for letter in "abcdef"))
+"""An external axis that a robot does not have is 9E9."""
 STOP = {"stopmode": "stop", "usetsp": "normal"}
 
 
@@ -111,6 +114,21 @@ class RwsServices:
         if key not in state:
             raise ProtocolError(f"{self._name}: the answer to {path} has no {key}")
         return str(state[key])
+
+    async def joints(self, unit: str) -> tuple[float, ...]:
+        """Read the measured joint angles of a mechanical unit and of its external axes, (12,) deg or mm."""
+        path = f"/rw/motionsystem/mechunits/{unit}/jointtarget"
+        try:
+            state = await self.get(path)
+        except DeviceRefused as refusal:
+            raise DeviceRefused(f"{refusal}. Correct robot.mechanical_unit, {unit}.") from None
+        try:
+            joints = tuple(float(state[name]) for name in JOINTS)
+        except (KeyError, TypeError, ValueError):
+            raise ProtocolError(f"{self._name}: the answer to {path} has no joint angles") from None
+        if not all(map(math.isfinite, joints)):
+            raise ProtocolError(f"{self._name}: the answer to {path} has a joint angle that is no number")
+        return joints
 
     async def value(self, symbol: Symbol) -> str:
         """Read a variable, as RAPID writes its value. DeviceRefused if the controller does not have it.

@@ -175,6 +175,8 @@ class RwsService:
                 return await self._rapid(request, rest, action)
             case ["motionsystem", "mechunits", "ROB_1", "robtarget"]:
                 return [self._robtarget()]
+            case ["motionsystem", "mechunits", "ROB_1", "jointtarget"]:
+                return [self._jointtarget()]
         raise problem(MISSING, BAD_STATE, f"no resource {request.path}")
 
     @staticmethod
@@ -384,6 +386,19 @@ class RwsService:
         zeros = dict.fromkeys(("cf1", "cf4", "cf6", "cfx"), "0") | dict.fromkeys((f"eax{a}" for a in "abcdef"), "9E+09")
         shown = {name: f"{value:.6f}" for name, value in values.items()}
         return {"_type": "ms-robtargets", "_title": "ROB_1", **shown, **zeros}
+
+    def _jointtarget(self) -> State:
+        """Return the joint angles. The plant has none: five change with the pose, as those of an arm do."""
+        joints = dict(
+            zip((f"rax_{number}" for number in range(1, 7)), (*self.controller.motion.pose, 0.0), strict=True)
+        )
+        shown = {name: f"{value:.6f}" for name, value in joints.items()}
+        return {
+            "_type": "ms-jointtarget",
+            "_title": "ROB_1",
+            **shown,
+            **dict.fromkeys((f"eax_{a}" for a in "abcdef"), "9E+09"),
+        }
 
     def _log(self) -> Sequence[State]:
         def entry(number: int, code: int, text: str) -> State:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, ProtocolError, RobotTimes
 from polishd.config.simulator import FaultSection
-from polishd.drivers.abb_rws.driver import AbbRobot
+from polishd.drivers.abb_rws.driver import AbbRobot, Tasks
 from polishd.drivers.abb_rws.services import RwsServices
 from tests.fakes import abb_rws
 from tests.fakes.abb_rws import FakeAbb, rapid_move
@@ -23,6 +25,7 @@ from tests.programs import plan_of
 TIMES = RobotTimes(silence_s=2.0, watchdog_s=8.0, lifts=False)
 SPEED = 0.5
 """Of the controller's clock: a program of 60 blocks lasts 4 s."""
+STOPPED = [{"_type": "rap-execution", "_title": "execution", "ctrlexecstate": "stopped"}]
 
 
 @asynccontextmanager
@@ -126,6 +129,54 @@ async def test_a_robot_that_stands_and_says_it_runs_reports_no_block(tmp_path: P
         await asyncio.sleep(0.5)
         assert (await robot.progress()).executed <= before + 1
         assert (await robot.progress()).state == "running"
+
+
+@pytest.mark.parametrize(
+    "subscribes", [pytest.param(True, id="subscription"), pytest.param(False, id="polling", marks=pytest.mark.full)]
+)
+async def test_a_robot_that_moves_after_its_program_has_stopped_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, subscribes: bool
+) -> None:
+    """The controller reports at once that nothing runs, and brakes after the third reading of its joints."""
+    async with robot_at(tmp_path, subscribes=subscribes) as (robot, fake):
+        await run(robot)
+        await executed(robot, 3)
+        read = fake.service._jointtarget
+        count = itertools.count(1)
+
+        def read_and_brake() -> Mapping[str, Any]:
+            if next(count) == 3:
+                fake.controller.stop()
+            return read()
+
+        monkeypatch.setattr(fake.service, "_jointtarget", read_and_brake)
+        monkeypatch.setattr(fake.service, "_execution", lambda *_: STOPPED)
+        await robot.close()
+        await robot.make_safe()
+        assert fake.stands
+
+
+@pytest.mark.full
+async def test_a_robot_that_moves_on_without_a_program_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with robot_at(tmp_path, replace(TIMES, stop_s=0.5)) as (robot, fake):
+        await run(robot)
+        await executed(robot, 3)
+        monkeypatch.setattr(fake.service, "_execution", lambda *_: STOPPED)
+        with pytest.raises(DeviceFault, match=r"still moving 0\.5 s after stop"):
+            await robot.make_safe()
+        assert not (await robot.status()).safe
+
+
+async def test_a_mechanical_unit_that_the_controller_does_not_have_is_named(tmp_path: Path) -> None:
+    fake = await FakeAbb(tmp_path).start()
+    robot = AbbRobot(fake.account, TIMES, Tasks(unit="ROB_7"))
+    try:
+        with pytest.raises(DeviceRefused, match=r"Correct robot\.mechanical_unit, ROB_7"):
+            await robot.open()
+    finally:
+        await fake.close()
 
 
 async def test_without_heartbeats_the_background_task_stops_the_motion(tmp_path: Path) -> None:
