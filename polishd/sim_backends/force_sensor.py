@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import FaultSection, SimForceSensorSection
+from polishd.config.simulator import SimForceSensorSection
+from polishd.config.simulator_faults import FaultSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.registry import SimDevice

@@ -16,7 +16,8 @@ from typing import Protocol
 
 import numpy as np
 
-from polishd.config.simulator import FaultSection, SimActuatorSection, SimSpindleSection
+from polishd.config.simulator import SimActuatorSection, SimSpindleSection
+from polishd.config.simulator_faults import FaultSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.can import CanWire, Frame
 from polishd.sim_backends.common.hidden_truth import stream

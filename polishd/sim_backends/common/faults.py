@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator import FRAMES, PANEL, STATES, FaultSection, SimConfig
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_faults import FRAMES, PANEL, STATES, FaultSection
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.common import framing as numbered
 from polishd.sim_backends.common.device_profile import SimDeviceProfile

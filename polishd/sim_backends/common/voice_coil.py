@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator_faults import FaultSection
 
 RETRACTED, EXTENDING, CONTACT, RETRACTING, FAULT = range(5)
 WATCHDOG, OVER_FORCE, DRIVE, ENCODER = 1, 2, 4, 8

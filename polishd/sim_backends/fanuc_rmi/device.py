@@ -7,7 +7,7 @@ import signal
 import time
 from typing import cast
 
-from polishd.config.simulator import MOTION, PANEL
+from polishd.config.simulator_faults import MOTION, PANEL
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimWire

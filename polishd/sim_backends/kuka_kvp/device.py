@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import polishd.config.simulator
-from polishd.config.simulator import MOTION, PANEL, SimRobotSection
+from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_faults import MOTION, PANEL
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.registry import SimDevice

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.config import simulator
+from polishd.config import simulator_faults
 from polishd.config.simulator import SimRobotSection
 from polishd.model.errors import ConfigError, DeviceFault
 from polishd.model.surface import FloatArray
@@ -492,6 +492,6 @@ SIM_DEVICES = [
         section=SimRobotSection,
         links={"linuxcnc": {}},
         main=main,
-        faults=simulator.MOTION,
+        faults=simulator_faults.MOTION,
     )
 ]

@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from polishd.config.simulator import PANEL, STATES, WIRES
+from polishd.config.simulator_faults import PANEL, STATES, WIRES
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common import hidden_truth, runtime
 from polishd.sim_backends.common.runtime import Start, announce, cancel_all, replace_file, until_ended

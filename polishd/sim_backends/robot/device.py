@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.config.simulator import MOTION, SimRobotSection
+from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_faults import MOTION
 from polishd.sim_backends.common import framing
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime

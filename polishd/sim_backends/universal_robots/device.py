@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import MOTION, SimRobotSection
+from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_faults import MOTION
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime

@@ -18,7 +18,7 @@ from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from polishd.config.cell import load_config
-from polishd.config.simulator import PANEL
+from polishd.config.simulator_faults import PANEL
 from tests.campaigns.faults.links import KILL, LINKS
 from tests.system.agreement import disagreements
 from tests.system.cell_rig import Daemon, events, summary, whole_account, with_faults

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
-from polishd.config import simulator
+from polishd.config import simulator_faults
 from tests.system import abb_rig, fanuc_rmi_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
@@ -112,7 +112,8 @@ class Link:
     def fault(self, name: str) -> dict[str, Any]:
         """For SIM.toml, without its time."""
         fault = self.faults[name]
-        whole = not self.link or fault["what"] in {"reboot", *simulator.PANEL}  # they befall the device, not a link
+        of_device = {"reboot", *simulator_faults.PANEL}
+        whole = not self.link or fault["what"] in of_device
         return {"device": self.device, **({} if whole else {"link": self.link}), **fault}
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
-from polishd.config.simulator import PANEL, WIRES
+from polishd.config.simulator_faults import PANEL, WIRES
 from tests.campaigns.faults.judge import LATE_S, OFF, REACTIONS, STANDS, STOPPED_S, UP, first, kill, load, watchdog_s
 from tests.campaigns.faults.judge import reason as reason_of
 from tests.campaigns.faults.links import KILL

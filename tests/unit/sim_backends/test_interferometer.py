@@ -18,7 +18,6 @@ import pytest
 from polishd.config.simulator import (
     Artefact,
     BumpSection,
-    FaultSection,
     InstrumentErrors,
     MapFaults,
     SimConfig,
@@ -26,6 +25,7 @@ from polishd.config.simulator import (
     Truth,
 )
 from polishd.config.simulator import SimInterferometerSection as Section
+from polishd.config.simulator_faults import FaultSection
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrology import zernike
 from polishd.sim_backends.common import metropro

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, ProtocolError, RobotTimes
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator_faults import FaultSection
 from polishd.drivers.abb_rws.driver import AbbRobot, Tasks
 from polishd.drivers.abb_rws.services import RwsServices
 from tests.fakes import abb_rws

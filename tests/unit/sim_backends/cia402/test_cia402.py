@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.cia402 import device as stage
 from polishd.sim_backends.cia402.device import (
     BOOT_S,

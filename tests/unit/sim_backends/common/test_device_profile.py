@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
 from polishd.sim_backends.profile_device.device import Inverter
 from tests.fakes.devices_by_profile import file_of

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import FaultSection, SimConfig, load_simulator
+from polishd.config.simulator import SimConfig, load_simulator
+from polishd.config.simulator_faults import FaultSection
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.common import framing, runtime
 from polishd.sim_backends.common.faults import PROTOCOLS, FaultScript, FrameAction, LinkDirection, protocols

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import FaultSection
+from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.common.framing import AsciiSlave, CoilRegisters, RtuSlave, TcpSlave, body, crc16, line, rtu
 from polishd.sim_backends.common.voice_coil import (
     CONTACT,
