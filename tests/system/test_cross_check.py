@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import Program
-from polishd.config.simulator import Plant, Truth
+from polishd.config.simulator_physics import Plant, Truth
 from polishd.model.errors import ProgramError
 from polishd.model.process import HybridRobot, Placement, ToolProcess
 from polishd.model.surface import FloatArray, Grid, SurfaceMap

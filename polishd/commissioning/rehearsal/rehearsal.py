@@ -34,8 +34,9 @@ from polishd.commissioning.rehearsal.simulated_cell import measure_artefact, run
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.instrument_profile import ProfileFile
 from polishd.config.process_sections import MeasuredSection
-from polishd.config.simulator import Truth, require_simulated
+from polishd.config.simulator import require_simulated
 from polishd.config.simulator_cell import COARSEST_MM, FINEST_MM, MORE_ACCEL
+from polishd.config.simulator_physics import Truth
 from polishd.config.toml_loader import did_you_mean, loads_toml
 from polishd.maps.commission import prove_profile
 from polishd.model.devices import port_of

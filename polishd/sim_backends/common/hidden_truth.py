@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from polishd.config.simulator import Plant, Truth
+from polishd.config.simulator_physics import Plant, Truth
 from polishd.model.process import HybridRobot, MeasuredCompliance, RobotModel, SerialRobot
 from polishd.model.surface import FloatArray
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from polishd.config.simulator import Effects, SimConfig
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import Effects
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
 

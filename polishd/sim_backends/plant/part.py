@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage, optimize
 
-from polishd.config.simulator import Plant, SimConfig
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import Plant
 from polishd.model.outline import Circle
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.sim_backends.common import metropro

@@ -19,7 +19,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from polishd.config.simulator import CLOSEST, SimConfig
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import CLOSEST
 from polishd.model.process import (
     HybridRobot,
     MeasuredCompliance,

@@ -8,7 +8,7 @@ import pytest
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.job_file import JobFile
-from polishd.config.simulator import Plant
+from polishd.config.simulator_physics import Plant
 from polishd.model.errors import ConfigError
 from polishd.model.outline import Circle, Outline, hexagon, polygon, rectangle
 

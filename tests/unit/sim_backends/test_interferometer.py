@@ -15,17 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import (
-    Artefact,
-    BumpSection,
-    InstrumentErrors,
-    MapFaults,
-    SimConfig,
-    SimInterferometerSection,
-    Truth,
-)
+from polishd.config.simulator import Artefact, BumpSection, MapFaults, SimConfig, SimInterferometerSection
 from polishd.config.simulator import SimInterferometerSection as Section
 from polishd.config.simulator_faults import FaultSection
+from polishd.config.simulator_physics import InstrumentErrors, Truth
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.metrology import zernike
 from polishd.sim_backends.common import metropro

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant
+from polishd.config.simulator_physics import Plant
 from polishd.model.errors import ComputeError
 from polishd.model.process import FLAT, Optic, ToolProcess
 from polishd.model.surface import FloatArray, Grid

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from polishd.config.simulator import Effects, Plant, SimConfig, Truth
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import Effects, Plant, Truth
 from polishd.model.errors import BatchRequestError
 from polishd.model.process import HybridRobot
 from polishd.model.surface import FloatArray

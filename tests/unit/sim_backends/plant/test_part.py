@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant
+from polishd.config.simulator_physics import Plant
 from polishd.sim_backends.common import metropro
 from polishd.sim_backends.plant import part as parts
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant, SimConfig, SimContactSection, Truth
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import Plant, SimContactSection, Truth
 from polishd.config.toml_loader import TomlSource
 from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredCompliance, MeasuredTif, Optic, SerialRobot, ToolProcess

@@ -10,7 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 from polishd.commissioning.rehearsal.simulated_cell import with_values
-from polishd.config.simulator import Effects, Plant, SimConfig, Truth, load_simulator
+from polishd.config.simulator import SimConfig, load_simulator
+from polishd.config.simulator_physics import Effects, Plant, Truth
 from polishd.maps.map_files import MapSource
 from polishd.model.program import Program
 from polishd.model.surface import FloatArray, Grid

@@ -10,7 +10,8 @@ import math
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Effects, Plant, SimConfig, Truth
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import Effects, Plant, Truth
 from polishd.model.process import HybridRobot, ToolProcess
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.robot.compliance import tip_compliance_mm_per_n

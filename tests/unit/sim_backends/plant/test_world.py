@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant, SimConfig, Truth
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_physics import Plant, Truth
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.server import SimEventLog

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Plant, SimConfig, load_simulator
+from polishd.config.simulator import SimConfig, load_simulator
+from polishd.config.simulator_physics import Plant
 from polishd.sim_backends.common import runtime
 from polishd.sim_backends.common.runtime import Start
 from polishd.sim_backends.plant import part as parts
