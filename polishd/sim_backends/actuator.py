@@ -7,7 +7,7 @@ import signal
 import time
 from collections.abc import Callable
 
-from polishd.config.simulator import SimActuatorSection
+from polishd.config.simulator_devices import SimActuatorSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.device_profile import SimDeviceProfile
 from polishd.sim_backends.common.framing import AsciiSlave, CoilRegisters, RtuSlave, TcpSlave

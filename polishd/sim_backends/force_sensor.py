@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import SimForceSensorSection
+from polishd.config.simulator_devices import SimForceSensorSection
 from polishd.config.simulator_faults import FaultSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream

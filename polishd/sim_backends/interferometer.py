@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from polishd.config.simulator import MapFaults, SimConfig, SimInterferometerSection
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_devices import MapFaults, SimInterferometerSection
 from polishd.config.simulator_physics import InstrumentErrors
 from polishd.model.surface import FloatArray, Grid
 from polishd.sim_backends.common import metropro

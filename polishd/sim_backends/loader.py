@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 from urllib.parse import quote, unquote
 
-from polishd.config.simulator import LoaderFaults, SimLoaderSection
+from polishd.config.simulator_devices import LoaderFaults, SimLoaderSection
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import SimRuntime
 from polishd.sim_backends.common.wire import Answer, serve

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import SEVEN, SimMonitorSection, SimSignal
+from polishd.config.simulator_devices import SEVEN, SimMonitorSection, SimSignal
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.registry import SimDevice

@@ -206,7 +206,7 @@ DECLARATIONS = {"DeviceType": "port", "SimDevice": "device"}
 LISTS_OF_DEVICES = (
     "commissioning/rehearsal/draft.py",  # options that a cell's devices have otherwise in a rehearsal
     "config/simulator_cell.py",  # turns sections of a cell into those of SIM.toml, by type
-    "config/simulator.py",  # sections that several simulated devices share, by `kind` and `drive`
+    "config/simulator_devices.py",  # sections that several simulated devices share, by `kind` and `drive`
     "plugin_loader.py",  # plugin names of before, which are refused with the new ones
     "config/renamed_keys.py",  # device types of before
 )

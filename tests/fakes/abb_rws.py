@@ -7,7 +7,7 @@ import time
 from importlib.resources import files
 from pathlib import Path
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.drivers.abb_rws.driver import tls_context
 from polishd.drivers.abb_rws.services import Account, Version
 from polishd.drivers.transport.address import Tcp

@@ -16,7 +16,7 @@ import numpy as np
 
 from polishd.api import DeviceIdentity, LinkError
 from polishd.config.controller_profile import ControllerProfile, Value, load_controller_profile
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.drivers.plc_robot.ads import Ads
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.opcua import OpcUa

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.file_delivery import Folder

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.driver import Addresses
 from polishd.sim_backends.universal_robots import device

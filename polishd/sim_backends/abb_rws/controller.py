@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.abb_rws.rapid import Instruction, RapidSource, reading, shown, single

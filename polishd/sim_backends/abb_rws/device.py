@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import MOTION, PANEL
 from polishd.sim_backends.abb_rws.controller import WATCH_TASK, AbbController
 from polishd.sim_backends.abb_rws.service import (

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from polishd.config.simulator import SimActuatorSection, SimSpindleSection
+from polishd.config.simulator_devices import SimActuatorSection, SimSpindleSection
 from polishd.config.simulator_faults import FaultSection
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common.can import CanWire, Frame

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from polishd.config.simulator import SimLineSection
+from polishd.config.simulator_devices import SimLineSection
 from polishd.sim_backends.common.faults import PROTOCOLS, FaultScript, FrameAction, LinkDirection, protocols
 from polishd.sim_backends.common.framing import MAX_LINE, body, line
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime

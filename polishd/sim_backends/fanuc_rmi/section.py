@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from polishd.config.simulator import Port, SimRobotSection
+from polishd.config.simulator_devices import Port, SimRobotSection
 
 
 class SimFanucRmiSection(SimRobotSection):

@@ -13,7 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.common.faults import SpeedOverride
 from polishd.sim_backends.kuka_kvp.krl import (

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-import polishd.config.simulator
-from polishd.config.simulator import SimRobotSection
+import polishd.config
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import MOTION, PANEL
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.common import hidden_truth
@@ -164,7 +164,7 @@ TICK_S = 0.004
 READ_S = 0.005
 """Duration of a turn, while a module is read."""
 PROGRAMS = "programs"
-MODULES = Path(polishd.config.simulator.__file__).with_name("robot_programs") / "kuka"
+MODULES = Path(polishd.config.__file__).with_name("robot_programs") / "kuka"
 """The modules that a shop installs: they are tested as they are."""
 _BLOCKS = re.compile(r"POLISHD_BLOCK=(\d+)")
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.config import simulator_faults
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ConfigError, DeviceFault
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.common import hidden_truth

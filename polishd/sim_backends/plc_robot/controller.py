@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.model.surface import FloatArray
 from polishd.sim_backends.plc_robot.inform import InformReader

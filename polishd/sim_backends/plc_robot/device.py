@@ -22,7 +22,7 @@ from pathlib import Path
 from asyncua import Server, ua
 from asyncua.server.address_space import NodeData
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import MOTION
 from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any, Protocol
 
-from polishd.config.simulator import SimSpindleSection
+from polishd.config.simulator_devices import SimSpindleSection
 from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.common import framing as numbered
 from polishd.sim_backends.common.device_profile import SimDeviceProfile

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import MOTION
 from polishd.sim_backends.common import framing
 from polishd.sim_backends.common.registry import SimDevice

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.model.surface import BoolArray
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.sim_backends.common.faults import SpeedOverride
 from polishd.sim_backends.universal_robots.urscript import RunningScript
 

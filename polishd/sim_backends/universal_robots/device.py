@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import MOTION
 from polishd.sim_backends.common import hidden_truth
 from polishd.sim_backends.common.registry import SimDevice

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SEVEN, SimForceSensorSection, SimSignal
+from polishd.config.simulator_devices import SEVEN, SimForceSensorSection, SimSignal
 from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends import force_sensor as sensor_device
 from polishd.sim_backends import monitor as monitor_device

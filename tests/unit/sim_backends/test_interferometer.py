@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import Artefact, BumpSection, MapFaults, SimConfig, SimInterferometerSection
-from polishd.config.simulator import SimInterferometerSection as Section
+from polishd.config.fields import BumpSection
+from polishd.config.simulator import SimConfig
+from polishd.config.simulator_devices import Artefact, MapFaults, SimInterferometerSection
+from polishd.config.simulator_devices import SimInterferometerSection as Section
 from polishd.config.simulator_faults import FaultSection
 from polishd.config.simulator_physics import InstrumentErrors, Truth
 from polishd.model.surface import FloatArray, Grid

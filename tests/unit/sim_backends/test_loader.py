@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from polishd.config.simulator import LoaderFaults
+from polishd.config.simulator_devices import LoaderFaults
 from polishd.sim_backends.common.wire import NumberedSlave
 from polishd.sim_backends.loader import ANOTHER, DROPPED, FAULT, IDLE, JAMMED, MOVING, STOPPED, LoaderArm, answering
 from tests.vectors import vectors

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from polishd.api import DeviceBusy, DeviceRefused, ProtocolError
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.drivers.universal_robots import rtde
 from polishd.drivers.universal_robots.rtde import FORMATS, Package, PackageReader, PackageType, RtdeRecipe
 from polishd.sim_backends.universal_robots import device as fields

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.abb_rws.controller import AbbController
 from polishd.sim_backends.robot.motion import SimMotion

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import FaultSection
 from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.common.faults import SpeedOverride

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.config.simulator_faults import FaultSection
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.kuka_kvp.controller import KukaController, from_abc, kuka_path, to_abc

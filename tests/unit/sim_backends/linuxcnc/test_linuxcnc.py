@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ConfigError
 from polishd.sim_backends.common.hidden_truth import tool_axis
 from polishd.sim_backends.linuxcnc import device

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.robot.device import Client, SimRobotController
 from polishd.sim_backends.robot.motion import SimMotion

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from polishd.config.simulator import SimRobotSection
+from polishd.config.simulator_devices import SimRobotSection
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.common.hidden_truth import tool_axis
 from polishd.sim_backends.universal_robots import arm as m
