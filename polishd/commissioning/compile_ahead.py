@@ -17,8 +17,8 @@ import numpy as np
 import polishd
 from polishd.model.errors import DeviceError
 from polishd.model.process import ToolProcess
-from polishd.model.program import Program
-from polishd.model.surface import FloatArray, Grid
+from polishd.model.program import program_of_points
+from polishd.model.surface import Grid
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
 from polishd.plugins.rnc_robot.gcode.jit import LARGE_BYTES
@@ -144,7 +144,8 @@ def _solve_moving() -> None:
     y, x = np.repeat(along, side), np.concatenate([along[:: (-1) ** line] for line in range(side)])
     points = np.column_stack([x, y, np.zeros(side**2)])
     gamma = np.linspace(0.8, 0.9, len(points) - 1)
-    program = _program(points)
+    axis = np.tile([np.sin(LEAN_RAD), 0.0, np.cos(LEAN_RAD)], (len(gamma), 1))
+    program = program_of_points("compile", "feed", points[:-1], points[1:], axis)
     effect = spread_effect(grid, hertz_spot(process, grid.pitch_mm), program, gamma, np.ones(program.n), tolerance=1e-2)
     alternating_directions.solve(_problem(effect, grid), WITHIN_S, LOOSE)
 
@@ -156,28 +157,6 @@ def _solve_resting() -> None:
     node, kernel = np.divmod(np.arange(side**2), side), np.outer(*(np.hanning(9)[1:-1],) * 2)
     effect = sum_of_convolutions(grid, node, kernel[None], np.ones((side**2, 1)))
     douglas_rachford.solve(_problem(effect, grid), WITHIN_S, LOOSE)
-
-
-def _program(points_mm: FloatArray) -> Program:
-    """Moves along (n + 1, 3) points, the tool leaning towards x."""
-    n = len(points_mm) - 1
-    line = np.arange(n)
-    axis = np.tile([np.sin(LEAN_RAD), 0.0, np.cos(LEAN_RAD)], (n, 1))
-    return Program(
-        text=b"",
-        sha256="",
-        name="compile",
-        dialect="rs274",
-        encoding="feed",
-        line=line + 1,
-        block=line,
-        start_mm=points_mm[:-1],
-        end_mm=points_mm[1:],
-        axis=axis,
-        time_s=np.ones(n),
-        lines=n,
-        max_feed_mm_min=3000.0,
-    )
 
 
 def _problem(effect: Effect, grid: Grid) -> DwellProblem:

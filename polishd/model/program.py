@@ -101,6 +101,28 @@ class Program:
         return self.text.count(b"\n") + 1
 
 
+def program_of_points(
+    name: str, encoding: Encoding, start_mm: FloatArray, end_mm: FloatArray, axis: FloatArray
+) -> Program:
+    """Return a program without text: n points that ask for no time, (n, 3) mm and unit tool axes (n, 3), part frame."""
+    block = np.arange(len(start_mm))
+    return Program(
+        text=b"",
+        sha256="",
+        name=name,
+        dialect="",
+        encoding=encoding,
+        line=block + 1,
+        block=block,
+        start_mm=start_mm,
+        end_mm=end_mm,
+        axis=axis,
+        time_s=np.zeros(len(block)),
+        lines=len(block),
+        max_feed_mm_min=0.0,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Segment:
     """One block on its way to the robot: sequence number, and the line's bytes without the line end."""

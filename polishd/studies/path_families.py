@@ -15,7 +15,7 @@ import scipy
 
 from polishd.config.study import PathFamilySection, PathsStudy
 from polishd.model.errors import ComputeError
-from polishd.model.program import Envelope, Program
+from polishd.model.program import Envelope, Program, program_of_points
 from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
@@ -225,7 +225,9 @@ def _make_path(study: PathsStudy, family: PathFamilySection, start: ConditionedM
     passes = tuple(_points(study, family, phase, start) for phase in family.phases)
     axes = [tool_axes(points, optic, process.dip_deg, options, placement) for points in passes]
     turn = max(largest_turn_deg(axis) for axis in axes)
-    program = _program(
+    program = program_of_points(
+        "path",
+        "feed",
         np.concatenate([one[:-1] for one in passes]),
         np.concatenate([one[1:] for one in passes]),
         np.concatenate([one[1:] for one in axes]),
@@ -264,26 +266,6 @@ def _points(study: PathsStudy, family: PathFamilySection, phase: float, start: C
         aperture, *lengths, **lines, seed=family.seed + round(1000 * phase), min_radius_mm=radius_mm,
         density=follow,
     )  # fmt: skip
-
-
-def _program(start_mm: FloatArray, end_mm: FloatArray, axis: FloatArray) -> Program:
-    """Return a program of moves timed by their feed, part frame."""
-    count = np.arange(len(start_mm))
-    return Program(
-        text=b"",
-        sha256="",
-        name="path",
-        dialect="study",
-        encoding="feed",
-        line=count + 1,
-        block=count,
-        start_mm=start_mm,
-        end_mm=end_mm,
-        axis=axis,
-        time_s=np.zeros(len(count)),
-        lines=len(count),
-        max_feed_mm_min=0.0,
-    )
 
 
 def _envelope(study: PathsStudy) -> Envelope:

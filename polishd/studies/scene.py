@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from polishd.config.study import CorrectionsStudy, PartStudy, PathsStudy
-from polishd.model.program import Program
+from polishd.model.program import program_of_points
 from polishd.model.surface import BoolArray, FloatArray, Grid, SurfaceMap
 from polishd.process.metrology.conditioning import MARGIN_MM, MIN_SAMPLES, ConditionedMap, condition, process_grid
 from polishd.process.metrology.resampling import Registration
@@ -123,7 +123,8 @@ def make_scene(study: PartStudy) -> Scene:
     reached = study.outline().contains(*lattice.axes_mm, -study.path.extension_mm)
     with study.blame("part"):
         points = on_optic(optic, lattice_points(lattice, reached)[:, :2])
-        program = dwells(points, tool_axes(points, optic, process.dip_deg, options, placement), study.title)
+        axes = tool_axes(points, optic, process.dip_deg, options, placement)
+        program = program_of_points(study.title, "dwell", points, points, axes)
         found = path_compliance(program, process, robot, placement, options=options, optic=optic)
     with study.blame("process"):
         depth = hertz_depth_mm(process)
@@ -154,23 +155,3 @@ def lattice_points(lattice: Grid, inside: BoolArray) -> FloatArray:
         for k, (y, row) in enumerate(zip(lattice.y_mm, inside, strict=True))
     ]
     return np.array([point for row in rows for point in row], dtype=np.float64).reshape(-1, 3)
-
-
-def dwells(points_mm: FloatArray, axis: FloatArray, name: str) -> Program:
-    """Return a program of dwells at rest: (n, 3) points and (n, 3) unit tool axes, part frame."""
-    count = np.arange(len(points_mm))
-    return Program(
-        text=b"",
-        sha256="",
-        name=name,
-        dialect="study",
-        encoding="dwell",
-        line=count + 1,
-        block=count,
-        start_mm=points_mm,
-        end_mm=points_mm,
-        axis=axis,
-        time_s=np.zeros(len(count)),
-        lines=len(count),
-        max_feed_mm_min=0.0,
-    )

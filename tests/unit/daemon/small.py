@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from polishd.config.cell_sections import DwellSection, JobSection, PartSection, ProgramSection
 from polishd.daemon import app
@@ -21,7 +22,7 @@ from polishd.daemon.job.tool_sequence import ToolSequence, ToolStepState
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import PassRecord
 from polishd.hookspecs import DwellSolver, RemovalAnswer, RemovalModel, RemovalRequest
-from polishd.model.dwell import OptimalityCertificate
+from polishd.model.dwell import OptimalityCertificate, WarmStart
 from polishd.model.estimates import Estimate, Estimates
 from polishd.model.events import Event
 from polishd.model.outline import Circle
@@ -29,7 +30,7 @@ from polishd.model.process import FLAT, SHIPPED_OPTIONS, HybridRobot, Placement,
 from polishd.model.program import Envelope, Plan, Program, Segment
 from polishd.model.states import Outcome
 from polishd.model.surface import FloatArray, Grid, SurfaceMap
-from polishd.pipeline import steps
+from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse
 from polishd.pipeline.run_folder import RunFolder
@@ -48,6 +49,22 @@ CERTIFICATE = OptimalityCertificate(
 )
 MOVES = ("robot.prepare", "robot.send", "robot.resume", "actuator.set_force", "spindle.set_speed")
 LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3)
+
+
+def record_warm_starts(
+    monkeypatch: pytest.MonkeyPatch, state: Mapping[str, FloatArray] | None = None
+) -> list[WarmStart | None]:
+    """What each later solve of a job starts from. ``state``: what its solver keeps for the next one in its place."""
+    starts: list[WarmStart | None] = []
+    solve = dwell_step.solve_first
+
+    def solve_recorded(turns: Any, measured: Any, warm: WarmStart | None = None) -> Any:
+        starts.append(warm)
+        solved = solve(turns, measured, warm)
+        return solved if state is None else replace(solved, dwell=replace(solved.dwell, state=state))
+
+    monkeypatch.setattr(dwell_step, "solve_first", solve_recorded)
+    return starts
 
 
 def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:

@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from polishd.daemon.socket.client import request
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.run_folder import RunFolder
-from tests.unit.daemon.small import as_map, run_cell
+from tests.unit.daemon.small import as_map, record_warm_starts, run_cell
 from tests.unit.daemon.test_app import Site
 
 RATE = 0.8
@@ -127,21 +126,12 @@ async def test_a_deleted_run_folder_costs_nothing_but_what_it_showed(site: Rerun
 async def test_the_next_solve_starts_from_the_last_one_across_a_restart(
     site: Rerun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from polishd.pipeline import dwell_step
-
-    starts: list[Any] = []
-    solve = dwell_step.solve_first
-
-    def watched(turns: Any, measured: Any, warm: Any = None) -> Any:
-        starts.append(warm)
-        solved = solve(turns, measured, warm)
-        return replace(solved, dwell=replace(solved.dwell, state={"multipliers": np.arange(3.0)}))
-
-    monkeypatch.setattr(dwell_step, "solve_first", watched)
+    starts = record_warm_starts(monkeypatch, {"multipliers": np.arange(3.0)})
     await stopped_after_a_pass(site)
     shutil.rmtree(site.config.run_dir)
     await resumed(site)
     assert starts[0] is None
+    assert starts[1] is not None
     with np.load(site.config.state_dir / "store" / f"{site.arrays('pass', 'plan')[0]}.npz") as plan:
         assert np.array_equal(starts[1].time_s, plan["time_s"])
     assert np.array_equal(starts[1].state["multipliers"], np.arange(3.0)), "what its solver can start from, too"

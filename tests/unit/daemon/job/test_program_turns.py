@@ -15,19 +15,17 @@ from polishd.daemon.contact.interruption import settle_interrupted_pass
 from polishd.daemon.contact.safety import ContactLimits
 from polishd.daemon.job.tool_sequence import ToolStepState
 from polishd.daemon.journal.records import PassRecord
-from polishd.model.dwell import WarmStart
 from polishd.model.errors import SafetyStop
 from polishd.model.events import PassStarted
 from polishd.model.program import Program
 from polishd.model.states import Outcome
 from polishd.model.surface import FloatArray
-from polishd.pipeline import dwell_step
 from polishd.pipeline.recipe import ToolStep
 from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import raster
 from tests.rs274 import RS274
-from tests.unit.daemon.small import APERTURE_MM, Bench, open_journal, small_program, small_recipe
+from tests.unit.daemon.small import APERTURE_MM, Bench, open_journal, record_warm_starts, small_program, small_recipe
 
 TRUTH = 0.8
 """Of what its model says, the tool removes so much."""
@@ -141,14 +139,7 @@ async def test_a_program_starts_no_solver_where_another_one_ended(
     bench: Turns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only the repeated pass has the points of the pass before it."""
-    warm: list[bool] = []
-    solve = dwell_step.solve_first
-
-    def spy(turns: Any, measured: Any, start: WarmStart | None) -> Any:
-        warm.append(start is not None)
-        return solve(turns, measured, start)
-
-    monkeypatch.setattr(dwell_step, "solve_first", spy)
+    starts = record_warm_starts(monkeypatch)
     mend = cut_off(bench, in_pass=1)
     job = bench.job()
     with pytest.raises(SafetyStop):
@@ -156,7 +147,7 @@ async def test_a_program_starts_no_solver_where_another_one_ended(
     mend()
     await settle_interrupted_pass(bench.fake.cell, bench.journal)
     await bench.polish(job)
-    assert warm == [False, False, True, False]
+    assert [start is not None for start in starts] == [False, False, True, False]
 
 
 @pytest.mark.full
