@@ -14,8 +14,9 @@ from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.columns import NONE, StatedBy, numbers
-from polishd.plugins.rnc_robot.languages.parser import NOWHERE, Scan, scan
+from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
+from polishd.plugins.rnc_robot.languages.program_scan import NOWHERE, Scan
 from polishd.plugins.rnc_robot.languages.statements import MatchedStatement
 from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, require_rules, timed_moves
 

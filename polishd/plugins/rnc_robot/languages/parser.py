@@ -1,155 +1,35 @@
-"""Moves, dwells and positions of a program in a robot language, with all refusals."""
+"""Moves, dwells and declarations of a program in a robot language, with all refusals."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 
-from polishd.api import ProgramError
-from polishd.plugins.rnc_robot.languages.columns import (
-    NONE,
-    Context,
-    MoveColumns,
-    PointColumns,
-    Positions,
-    StatedBy,
-    WrittenPose,
-    is_rotation,
+from polishd.plugins.rnc_robot.languages.columns import NONE, Context, StatedBy
+from polishd.plugins.rnc_robot.languages.profile import DataFile, LanguageProfile
+from polishd.plugins.rnc_robot.languages.program_scan import (
+    LARGEST_MM,
+    NOWHERE,
+    ModalFeed,
+    Move,
+    Scan,
+    StatedTime,
+    context_at,
+    feed_unit_mm_min,
+    is_number,
+    modal_place,
+    name_of_feed,
+    place_of,
+    pose_of,
+    stated_time,
+    stops_at_end,
 )
-from polishd.plugins.rnc_robot.languages.profile import NUMBER, DataFile, LanguageProfile
 from polishd.plugins.rnc_robot.languages.statements import (
     MatchedStatement,
     ProgramSource,
     require_short_lines,
     statements,
 )
-
-LARGEST_MM = 1e6
-_NUMBER = re.compile(NUMBER)
-NOWHERE = (-1, -1)
-"""Span of a number that is not in the program's text."""
-POSTED = "have it posted again with the positions written out"
-
-
-@dataclass(frozen=True, slots=True)
-class Move:
-    """A feed move to a pose, or to a declared position with an offset."""
-
-    line: int
-    place: WrittenPose | None
-    target: str | None
-    offset_mm: tuple[float, float, float]
-    stops: bool
-    feed_mm_min: float
-    context: Context
-
-
-@dataclass(frozen=True, slots=True)
-class ModalFeed:
-    """A speed that holds for the moves behind it."""
-
-    text: str
-    unit: str
-    span: tuple[int, int]
-
-
-@dataclass(frozen=True, slots=True)
-class StatedTime:
-    """What states the time of a move, and where."""
-
-    by: StatedBy
-    number: float = math.nan
-    factor: float = math.nan
-    """One unit of the number, in s or in mm/min."""
-    span: tuple[int, int] = (-1, -1)
-
-
-@dataclass(slots=True)
-class Scan:
-    """A whole program: its points as columns, the rest counted."""
-
-    profile: LanguageProfile
-    source: ProgramSource
-    kept: list[MatchedStatement] | None = None
-    """All statements, on request only: a kilobyte each."""
-    points: PointColumns = field(default_factory=PointColumns)
-    columns: MoveColumns | None = field(default_factory=MoveColumns)
-    """All motions; None once a dwell has shown that dwells carry the time, unless all are wanted."""
-    keep_columns: bool = False
-    positions: Positions = field(default_factory=Positions)
-    positions_beside: int = 0
-    """So many of these, the first ones, are declared in the file beside the program."""
-    used: set[str] = field(default_factory=set)
-    """Names of positions that motions lead to, where some are declared in the file beside the program."""
-    named_contexts: dict[str, Context] = field(default_factory=dict)
-    """Declared tools and frames by name."""
-    calls: dict[str, tuple[MatchedStatement, str]] = field(default_factory=dict)
-    """The call of each routine and the routine that it stands in, by the name of the called one."""
-    routines: set[str] = field(default_factory=set)
-    moves: int = 0
-    """Feed moves."""
-    dwells: int = 0
-    bare_line: int = 0
-    """Of the first feed move without a dwell, as far as the next move is read; 0: none."""
-    body_lines: int = 0
-    """Lines with statements in the routine that is open, or was the last; of the file, where there are no routines."""
-    moving_lines: int = 0
-    """Of the routine that moves, once it ended."""
-    line: int = 0
-    """Of the last statement that was read."""
-    counted: int = 0
-    """The line that ``body_lines`` counted last."""
-    override_line: int = 0
-    """Line of the override that holds, where it is not 100 %; 0: none."""
-    slowed_line: int = 0
-    """Line of an override at which a move ran."""
-    warnings: dict[str, None] = field(default_factory=dict)
-    modal: dict[str, str] = field(default_factory=dict)
-    zones: dict[str | None, str] = field(default_factory=dict)
-    """The zone that was set last, by the name that it was set for."""
-    feeds: dict[str | None, ModalFeed] = field(default_factory=dict)
-    """The speed that was set last, by the name that it was set for."""
-    axes: dict[str, float] = field(default_factory=dict)
-    """Coordinates that were stated last, where these hold."""
-    speeds: dict[str, float] = field(default_factory=dict)
-    """Declared speeds by name, mm/min."""
-    last: Move | None = None
-    """The last feed move."""
-    at: Move | None = None
-    """The feed move at whose end the robot stands: that one, or none."""
-    dwelled: bool = False
-    """The last feed move has its dwell."""
-    routine: str | None = None
-    """Name of the routine that is open."""
-    moving: MatchedStatement | None = None
-    """Begin of the routine that moves."""
-    begun: MatchedStatement | None = None
-    finished: bool = False
-
-    def refuse(self, statement: MatchedStatement, reason: str, advice: str) -> ProgramError:
-        """The error at a statement."""
-        return self.refuse_line(statement.line, reason, advice)
-
-    def refuse_line(self, line: int, reason: str, advice: str) -> ProgramError:
-        """The error at a line."""
-        return self.source.refuse(line, reason, advice)
-
-    @property
-    def undeclared(self) -> str:
-        """What to do about a position that is not declared."""
-        rules = self.profile.data_file
-        return (
-            POSTED if rules is None else f"put the {rules.ending} file that declares it beside the program, or {POSTED}"
-        )
-
-    def folded(self, name: str) -> str:
-        """A name as the language compares it; of an array of the file beside the program, the first element is its."""
-        rules = self.profile.data_file
-        if rules is not None and rules.form == "xml":
-            name = name.removesuffix("[0]")
-        return name.lower() if self.profile.ignore_case else name
 
 
 def scan(
@@ -175,7 +55,7 @@ def scan(
     if profile.move_time is None:
         found.columns = None
     if beside:
-        _take_declarations(found)
+        take_declarations_beside(found)
     for statement in statements(profile, found.source):
         if found.finished:
             raise found.refuse(statement, "a statement after the end of the program", "remove it")
@@ -196,15 +76,15 @@ def scan(
 def _move(found: Scan, statement: MatchedStatement) -> None:
     _inside(found, statement)
     target = statement.text("target")
-    stated = _stated(found, statement)
+    stated = stated_time(found, statement)
     move = Move(
         statement.line,
         place_of(found, statement) if target is None else None,
         None if target is None else found.folded(target),
         _offset(found, statement),
-        _stops(found, statement),
+        stops_at_end(found, statement),
         stated.number * stated.factor if stated.by > StatedBy.TIME else math.nan,
-        _context(found, statement),
+        context_at(found, statement),
     )
     if target is not None and found.profile.declare_before_use and move.target not in found.positions:
         raise found.refuse(statement, f"the position {target} is not declared before its use", found.undeclared)
@@ -261,7 +141,7 @@ def _keep_motion(found: Scan, statement: MatchedStatement, move: Move, stated: S
     columns.until.append(end)
     columns.stops.append(move.stops)
     columns.arc.append("via" in groups)
-    feed_of = _feed_of(found, statement)
+    feed_of = name_of_feed(found, statement)
     columns.feed_of.append(NONE if feed_of is None else columns.names.of(feed_of))
     columns.dwell.append(NONE)
 
@@ -271,7 +151,7 @@ def _approach(found: Scan, statement: MatchedStatement) -> None:
     found.at = None
     target, fields, place = statement.text("target"), statement.match.re.groupindex, None
     if found.profile.modal_axes:
-        place = _modal_place(found, statement) if "x" in fields else None
+        place = modal_place(found, statement) if "x" in fields else None
     elif found.columns is not None and "x" in fields and statement.text("x") is not None:
         place = place_of(found, statement)
     if "x" not in fields:  # it leads to a location that the program does not state
@@ -280,7 +160,7 @@ def _approach(found: Scan, statement: MatchedStatement) -> None:
     if found.columns is not None:
         named = None if target is None else found.folded(target)
         move = Move(
-            statement.line, place, named, _offset(found, statement), False, math.nan, _context(found, statement)
+            statement.line, place, named, _offset(found, statement), False, math.nan, context_at(found, statement)
         )
         _keep_motion(found, statement, move, StatedTime(StatedBy.APPROACH))
 
@@ -339,7 +219,8 @@ def _fly_by(found: Scan, statement: MatchedStatement, move: Move) -> None:
     ] = None
 
 
-def _position(found: Scan, statement: MatchedStatement) -> None:
+def take_position(found: Scan, statement: MatchedStatement) -> None:
+    """Keep a declared position; ProgramError where the program declares it twice, or moved to another value of it."""
     name = statement.text("target") or ""
     if found.folded(name) in found.positions:
         number = found.positions.number[found.folded(name)]
@@ -354,33 +235,47 @@ def _position(found: Scan, statement: MatchedStatement) -> None:
             )
     context: Context = statement.text("tool"), statement.text("frame")
     if found.profile.modal_positions:
-        context = _context(found, statement)
+        context = context_at(found, statement)
     found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
 
+
+def take_speed(found: Scan, statement: MatchedStatement) -> None:
+    """A speed declared under a name."""
+    factor = feed_unit_mm_min(found, statement.text("feed_unit"))
+    found.speeds[found.folded(statement.text("feed_name") or "")] = (statement.number("rate") or math.nan) * factor
+
+
+def take_context(found: Scan, statement: MatchedStatement) -> None:
+    """A tool and a frame declared under a name."""
+    name = found.folded(statement.text("context_name") or "")
+    found.named_contexts[name] = statement.text("tool"), statement.text("frame")
+
+
+# The file beside the program: all else in it does not count.
 
 _DATA = re.compile(rb"<(/?)(Data|Value)\b([^<>]*)>")
 _ATTRIBUTE = re.compile(rb"([A-Za-z_][\w:.-]*)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
 
 
-def _take_declarations(found: Scan) -> None:
-    """Positions, speeds, tools and frames from the file beside the program; all else in it does not count."""
+def take_declarations_beside(found: Scan) -> None:
+    """Keep positions, speeds, tools and frames of the file beside the program."""
     rules = found.profile.data_file
     if rules is None:
         return
     source = ProgramSource(found.source.beside, f"{found.source.name}: {rules.title}")
     other = Scan(found.profile, source)
     if rules.form == "xml":
-        _take_elements(other, rules)
+        _from_elements(other, rules)
     else:
-        _take_statements(other)
+        _from_statements(other)
     found.positions, found.positions_beside = other.positions, len(other.positions.line)
     found.speeds, found.named_contexts = other.speeds, other.named_contexts
     found.feeds, found.zones = other.feeds, other.zones
 
 
-def _take_statements(other: Scan) -> None:
+def _from_statements(other: Scan) -> None:
     """Declarations at the begin of a line."""
-    wanted = {"position": _position, "speed": _speed, "context": _declared_context}
+    wanted = {"position": take_position, "speed": take_speed, "context": take_context}
     patterns = [pattern for pattern in other.profile.patterns if pattern.kind in wanted]
     require_short_lines(other.source)
     at = 0
@@ -393,7 +288,7 @@ def _take_statements(other: Scan) -> None:
                 break
 
 
-def _take_elements(other: Scan, rules: DataFile) -> None:
+def _from_elements(other: Scan, rules: DataFile) -> None:
     """Elements of XML arrays, each under ``name[key]``."""
     name = kind = ""
     at, line = 0, 1
@@ -411,9 +306,9 @@ def _take_elements(other: Scan, rules: DataFile) -> None:
         if match[1] or not name or not key.isdigit():
             continue
         if kind in rules.positions:
-            _take_position(other, rules, f"{name}[{key}]", named, line)
+            _element_position(other, rules, f"{name}[{key}]", named, line)
         elif kind in rules.speeds:
-            _take_speed(other, rules, f"{name}[{key}]", named)
+            _element_speed(other, rules, f"{name}[{key}]", named)
 
 
 def _without_comments(data: bytes) -> bytes:
@@ -427,10 +322,10 @@ def _without_comments(data: bytes) -> bytes:
     return b"".join([*pieces, data[at:]])
 
 
-def _take_position(other: Scan, rules: DataFile, name: str, named: dict[str, str], line: int) -> None:
+def _element_position(other: Scan, rules: DataFile, name: str, named: dict[str, str], line: int) -> None:
     fields = ("x", "y", "z", *other.profile.orientation.fields)
     texts = [named.get(field, "0") for field in fields]
-    if not all(_NUMBER.fullmatch(text) for text in texts):
+    if not all(map(is_number, texts)):
         raise other.refuse_line(line, f"a value of {name} is no number", "correct it")
     pose = pose_of(other, line, [float(text) for text in texts])
     if other.folded(name) in other.positions:
@@ -438,9 +333,9 @@ def _take_position(other: Scan, rules: DataFile, name: str, named: dict[str, str
     other.positions.add(other.folded(name), pose, line, (None, named.get(rules.frame)))
 
 
-def _take_speed(other: Scan, rules: DataFile, name: str, named: dict[str, str]) -> None:
+def _element_speed(other: Scan, rules: DataFile, name: str, named: dict[str, str]) -> None:
     """A speed that cannot be rewritten, as it is not in the program: until the program sets another."""
-    if _NUMBER.fullmatch(named.get(rules.feed, "")):
+    if is_number(named.get(rules.feed, "")):
         other.feeds[other.folded(name)] = ModalFeed(named[rules.feed], "", NOWHERE)
     if rules.zone in named:
         other.zones[other.folded(name)] = named[rules.zone]
@@ -452,35 +347,18 @@ def _neutral(found: Scan, statement: MatchedStatement) -> None:
         if text is not None:
             found.modal[name] = text
     if (zone := statement.text("zone")) is not None:
-        found.zones[_feed_of(found, statement)] = zone
+        found.zones[name_of_feed(found, statement)] = zone
     if (override := statement.text("override")) is not None:
         found.override_line = 0 if _is_whole(override) else statement.line
     if (feed := statement.text("feed")) is not None:
-        found.feeds[_feed_of(found, statement)] = ModalFeed(
+        found.feeds[name_of_feed(found, statement)] = ModalFeed(
             feed, statement.text("feed_unit") or "", statement.match.span("feed")
         )
 
 
 def _is_whole(override: str) -> bool:
     """Whether an override is 100 %."""
-    return _NUMBER.fullmatch(override) is not None and float(override) == 100
-
-
-def _feed_of(found: Scan, statement: MatchedStatement) -> str | None:
-    name = statement.text("feed_of")
-    return None if name is None else found.folded(name)
-
-
-def _speed(found: Scan, statement: MatchedStatement) -> None:
-    """A speed declared under a name."""
-    factor = _factor(found, statement.text("feed_unit"))
-    found.speeds[found.folded(statement.text("feed_name") or "")] = (statement.number("rate") or math.nan) * factor
-
-
-def _declared_context(found: Scan, statement: MatchedStatement) -> None:
-    """A tool and a frame declared under a name."""
-    name = found.folded(statement.text("context_name") or "")
-    found.named_contexts[name] = statement.text("tool"), statement.text("frame")
+    return is_number(override) and float(override) == 100
 
 
 def _assumed(found: Scan, statement: MatchedStatement) -> None:
@@ -555,8 +433,8 @@ def _finish(found: Scan, statement: MatchedStatement) -> None:
 
 
 _TAKE = {
-    "move": _move, "approach": _approach, "dwell": _dwell, "dwell_in_position": _dwell, "position": _position,
-    "speed": _speed, "context": _declared_context, "neutral": _neutral, "assumed": _assumed, "begin": _begin,
+    "move": _move, "approach": _approach, "dwell": _dwell, "dwell_in_position": _dwell, "position": take_position,
+    "speed": take_speed, "context": take_context, "neutral": _neutral, "assumed": _assumed, "begin": _begin,
     "end": _end, "run": _run, "call": _call, "finish": _finish,
 }  # fmt: skip
 
@@ -575,110 +453,3 @@ def _inside(found: Scan, statement: MatchedStatement) -> None:
             f"a second routine that moves (the first begins in line {found.moving.line}): which runs when is not read",
             "have it posted as one routine",
         )
-
-
-def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
-    """The pose that a statement writes out."""
-    if found.profile.modal_axes:
-        place = _modal_place(found, statement)
-    else:
-        written = [statement.number(name) for name in ("x", "y", "z", *found.profile.orientation.fields)]
-        place = None if None in written else pose_of(found, statement.line, [value or 0.0 for value in written])
-    if place is None:
-        raise found.refuse(statement, "the position is not complete", POSTED)
-    return place
-
-
-def _modal_place(found: Scan, statement: MatchedStatement) -> WrittenPose | None:
-    """The pose of what a statement writes out and of what holds from before; None where no x, y or z holds."""
-    turns = found.profile.orientation.fields
-    values = {name: statement.number(name) for name in ("x", "y", "z", *turns)}
-    found.axes |= {name: value for name, value in values.items() if value is not None}
-    if not {"x", "y", "z"} <= found.axes.keys():
-        return None
-    return pose_of(
-        found, statement.line, [*(found.axes[axis] for axis in "xyz"), *(found.axes.get(t, 0.0) for t in turns)]
-    )
-
-
-def pose_of(found: Scan, line: int, written: Sequence[float]) -> WrittenPose:
-    """The pose of x, y, z and the fields of the orientation; ProgramError where it is none."""
-    profile = found.profile
-    x, y, z, *turn = written
-    xyz_mm = x * profile.unit_mm, y * profile.unit_mm, z * profile.unit_mm
-    if not max(map(abs, xyz_mm)) <= LARGEST_MM:
-        raise found.refuse_line(line, "a position beyond any robot", "correct it")
-    if not is_rotation(profile.orientation.convention, turn):
-        raise found.refuse_line(line, "the orientation is no rotation", "correct it")
-    return WrittenPose(xyz_mm, tuple(turn))
-
-
-def _stops(found: Scan, statement: MatchedStatement) -> bool:
-    profile = found.profile
-    own = "zone" in statement.match.re.groupindex
-    zone = statement.text("zone") if own else found.zones.get(_feed_of(found, statement), found.zones.get(None))
-    if zone is None:
-        return not profile.blends_without_zone
-    if zone.lower() in profile.exact_stop:
-        return True
-    try:
-        return float(zone) == 0
-    except ValueError:
-        return False
-
-
-def _factor(found: Scan, unit: str | None) -> float:
-    """One written unit of a speed, mm/min; NaN where it is not known."""
-    return found.profile.feed_units_mm_min.get((unit or "").lower(), math.nan)
-
-
-def _stated(found: Scan, statement: MatchedStatement) -> StatedTime:
-    """What states the move's time: its own time or speed, or a speed that was set before."""
-    rules, groups = found.profile.move_time, statement.match.re.groupindex
-    if statement.number("t"):
-        factor = math.nan if rules is None else rules.units_s.get((statement.text("t_unit") or "").lower(), math.nan)
-        return StatedTime(StatedBy.TIME, statement.number("t") or math.nan, factor, statement.match.span("t"))
-    if statement.text("rate") is not None:
-        number = statement.number("rate") or math.nan
-        factor = _factor(found, statement.text("feed_unit"))
-        return StatedTime(StatedBy.RATE, number, factor, statement.match.span("rate"))
-    named = statement.text("feed_name")
-    if named is not None:
-        declared = found.speeds.get(found.folded(named), math.nan)
-        return StatedTime(StatedBy.UNKNOWN if math.isnan(declared) else StatedBy.FIXED, declared, 1.0)
-    own = statement.text("feed")
-    unit: str | None = statement.text("feed_unit")
-    holds = rules is not None and rules.feed_holds
-    by, span = StatedBy.RATE, statement.match.span("feed") if own is not None else (-1, -1)
-    if own is None and ("feed" not in groups or holds):
-        modal = found.feeds.get(_feed_of(found, statement), ModalFeed("", "", span))
-        own, unit, by, span = modal.text or None, modal.unit, StatedBy.MODAL, modal.span
-    elif own is not None and holds:
-        found.feeds[None] = ModalFeed(own, unit or "", span)
-    if own is None:
-        return StatedTime(StatedBy.UNKNOWN)
-    try:
-        number = float(own)
-    except ValueError:
-        return StatedTime(StatedBy.UNKNOWN)
-    if by is StatedBy.RATE and rules is not None and rules.fixed_feeds:
-        by = StatedBy.FIXED
-    return StatedTime(by, number, _factor(found, unit), span)
-
-
-def _context(found: Scan, statement: MatchedStatement) -> Context:
-    """Tool and frame that the move is written for."""
-    if (name := statement.text("context_name")) is not None:
-        base = statement.text("base_name") or name
-        if found.folded(base) != found.folded(name):
-            raise found.refuse(statement, f"the tool of {name} with the base of {base}", "name one of them for both")
-        context = found.named_contexts.get(found.folded(name))
-        if context is not None:
-            return context
-        found.warnings["tools and frames that moves name are declared elsewhere: taken to be the same at all"] = None
-        return None, None
-    tool, frame = (
-        statement.text(name) if name in statement.match.re.groupindex else found.modal.get(name)
-        for name in ("tool", "frame")
-    )
-    return tool, frame

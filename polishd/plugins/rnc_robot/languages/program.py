@@ -20,8 +20,9 @@ from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.columns import StatedBy, numbers, tool_axis
 from polishd.plugins.rnc_robot.languages.move_times import feed_unit, rewrite_moves, styled
-from polishd.plugins.rnc_robot.languages.parser import Scan, scan
+from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
+from polishd.plugins.rnc_robot.languages.program_scan import Scan
 from polishd.plugins.rnc_robot.languages.statements import MatchedStatement
 from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, context_of, locations, move_timing, timed_moves
 

@@ -19,8 +19,8 @@ from polishd.plugins.rnc_robot.languages.columns import (
     numbers,
     table,
 )
-from polishd.plugins.rnc_robot.languages.parser import Scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, MoveTime
+from polishd.plugins.rnc_robot.languages.program_scan import Scan
 
 SAME_PLACE_MM = 1e-6
 Names = tuple[str | None, ...]
