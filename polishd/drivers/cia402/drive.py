@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from polishd.api import DeviceFault, DeviceIdentity, DeviceRefused, LinkError, ProtocolError
 from polishd.drivers.cia402 import protocol
@@ -27,7 +27,10 @@ from polishd.drivers.cia402.protocol import (
 )
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress
 from polishd.drivers.transport.background import Background, Ready, RequestQueue
-from polishd.drivers.transport.can_bus import CanBus, CanFrame, NodesHeard, open_bus
+from polishd.drivers.transport.can_frames import CanFrame, NodesHeard
+
+if TYPE_CHECKING:
+    from polishd.drivers.transport.can_bus import CanBus
 
 # Connection to a drive: one object request at a time; monitors its heartbeat and sends ours.
 
@@ -81,6 +84,8 @@ class CanopenConnection(Background):
 
     async def open(self) -> None:
         """Open the bus and check that a CiA 402 drive answers. Only sets the drive operational."""
+        from polishd.drivers.transport.can_bus import open_bus  # imports python-can, which is slow
+
         self._bus = await open_bus(self._address, self._node)
         try:
             await self.start(self._run, OPEN_S)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from polishd.api import ConfigError, DeviceRefused, ProtocolError
-from polishd.drivers.transport.can_bus import CanFrame
+from polishd.drivers.transport.can_frames import CanFrame
 
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary, ODVariable

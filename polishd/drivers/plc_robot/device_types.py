@@ -11,9 +11,7 @@ from urllib.parse import urlsplit
 from polishd.api import ConfigError, DeviceContext, DeviceType, OwnLines, read_secret
 from polishd.config.controller_profile import ControllerProfile, load_controller_profile
 from polishd.config.fields import ConfigSection
-from polishd.drivers.plc_robot.ads import Ads
 from polishd.drivers.plc_robot.driver import PlcRobot
-from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Variables
 from polishd.drivers.transport.address import tcp_address
@@ -92,10 +90,14 @@ def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceC
             papers = _papers(options, context.base_dir)
             return lambda: OpcUa(options.address, table, silence_s, options.user, password, papers=papers)
         case "ads":
+            from polishd.drivers.plc_robot.ads import Ads
+
             require_extra(f"profile {options.profile!r}", "ads")
             host, netid, port = _ads_address(options.address)
             return lambda: Ads(host, netid, port, table, silence_s)
         case "modbus":
+            from polishd.drivers.plc_robot.modbus import Modbus  # imports pymodbus, which is slow
+
             where = tcp_address(options.address, context.base_dir, "modbus")
             make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
             make()  # checks its addresses

@@ -21,7 +21,6 @@ from polishd.api import (
 from polishd.config.device_profile import DeviceProfile, Kind
 from polishd.config.device_profile_checks import profile_of
 from polishd.config.fields import ConfigSection
-from polishd.drivers.profile_device import build
 
 A: dict[Kind, str] = {"actuator": "an actuator", "spindle": "a spindle", "force_sensor": "a force sensor"}
 Seconds = Annotated[float, Field(gt=0.0, le=120.0)]
@@ -97,6 +96,8 @@ def _times(options: BaseModel, table: Any, names: Sequence[str]) -> dict[str, An
 
 
 def _actuator(options: ProfileActuatorOptions, context: DeviceContext) -> ForceActuator:
+    from polishd.drivers.profile_device import build  # imports pymodbus, which is slow
+
     profile = _profile(options, context, "actuator")
     names = ("watchdog_s", "landing_s", "release_s", "retract_s", "stroke_mm")
     table: Any = profile.actuator  # as its kind says
@@ -106,6 +107,8 @@ def _actuator(options: ProfileActuatorOptions, context: DeviceContext) -> ForceA
 
 
 def _spindle(options: ProfileSpindleOptions, context: DeviceContext) -> Spindle:
+    from polishd.drivers.profile_device import build
+
     profile = _profile(options, context, "spindle")
     times = SpindleTimes(options.silence_s, **_times(options, profile.spindle, ("watchdog_s", "spin_s")))
     address = build.address_of(profile, options.address, context.base_dir)
@@ -113,6 +116,8 @@ def _spindle(options: ProfileSpindleOptions, context: DeviceContext) -> Spindle:
 
 
 def _force_sensor(options: ForceSensorOptions, context: DeviceContext) -> ForceSensor:
+    from polishd.drivers.profile_device import build
+
     profile = _profile(options, context, "force_sensor")
     times = SensorTimes(options.silence_s, **_times(options, profile.force_sensor, ("delay_s", "tare_s")))
     address = build.address_of(profile, options.address, context.base_dir)

@@ -7,8 +7,7 @@ import contextlib
 import logging
 import os
 import socket
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import can
 from can.interfaces.slcan import slcanBus
@@ -16,6 +15,7 @@ from can.interfaces.socketcand import SocketCanDaemonBus
 
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, Tcp
 from polishd.drivers.transport.background import open_blocking
+from polishd.drivers.transport.can_frames import CanFrame, OnFrame
 from polishd.drivers.transport.claims import claim_address
 from polishd.drivers.transport.streams import connect_unclaimed, why_closed
 from polishd.model.errors import LinkError
@@ -33,16 +33,6 @@ EMPTY_READS = 3
 
 BUS_OFF = 0x40
 """Error frame class: the adapter has left the bus."""
-
-
-class CanFrame(NamedTuple):
-    """A classic CAN frame with an 11-bit identifier."""
-
-    identifier: int
-    data: bytes
-
-
-OnFrame = Callable[[CanFrame], None]
 
 
 async def open_bus(address: SlcanAddress | SocketcandAddress, node: int) -> CanBus:
@@ -281,31 +271,3 @@ def _said(error: Exception) -> str:
     """Return the error in one line: python-can puts whole tracebacks into its messages."""
     message, cause = str(error).partition("Traceback (")[0].strip(), str(error.__cause__ or "")
     return message if cause in message else f"{message} ({cause})"
-
-
-# CANopen nodes that send on a bus, to explain why a node does not answer.
-
-OF_NODES = frozenset({1, 3, 5, 7, 9, 11, 14})
-"""Function codes of CiA 301 that a node sends: emergency, process data, SDO answers, heartbeat."""
-
-
-class NodesHeard:
-    """Nodes from which a frame was received."""
-
-    def __init__(self) -> None:
-        self._nodes: set[int] = set()
-
-    def add(self, frame: CanFrame) -> None:
-        """Record the sender of a frame."""
-        function, node = divmod(frame.identifier, 0x80)
-        if node and function in OF_NODES:
-            self._nodes.add(node)
-
-    def without(self, node: int, address: SlcanAddress | SocketcandAddress) -> str:
-        """Return the likely reason why that node does not answer, and what to do."""
-        if node in self._nodes:
-            return f"node {node} sends, but not as this device. Check the node number."
-        if self._nodes:
-            return f"only nodes {', '.join(map(str, sorted(self._nodes)))} send. Check the node number."
-        adapter = f", and the adapter's {address.baud} baud" if isinstance(address, SlcanAddress) else ""
-        return f"the bus is silent. Check power, bit rate, wires and termination{adapter}."

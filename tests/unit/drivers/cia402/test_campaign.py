@@ -20,9 +20,9 @@ from polishd.drivers.cia402 import drive as links
 from polishd.drivers.cia402 import protocol
 from polishd.drivers.cia402.drive import CanopenConnection
 from polishd.drivers.cia402.protocol import Address, read_dictionary
-from polishd.drivers.transport import background
+from polishd.drivers.transport import background, can_bus
 from polishd.drivers.transport.address import SlcanAddress
-from polishd.drivers.transport.can_bus import CanFrame, OnFrame
+from polishd.drivers.transport.can_frames import CanFrame, OnFrame
 from tests.campaigns.codecs.virtual import VirtualLoop
 from tests.fakes.can_peers import SlcanPeer
 from tests.fakes.cia402 import EDS, NODE, Frame, cia402_spindle, sim_motor
@@ -136,7 +136,7 @@ def campaign(monkeypatch: pytest.MonkeyPatch, replies: int) -> tuple[Counter[str
     class Clock:
         monotonic = staticmethod(loop.time)
 
-    monkeypatch.setattr(links, "open_bus", open_bus)
+    monkeypatch.setattr(can_bus, "open_bus", open_bus)
     monkeypatch.setattr(links, "time", Clock)
     monkeypatch.setattr(background, "time", Clock)
     try:

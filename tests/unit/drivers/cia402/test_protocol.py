@@ -24,7 +24,7 @@ from polishd.drivers.cia402.protocol import (
     power_up,
     state_of,
 )
-from polishd.drivers.transport.can_bus import CanFrame
+from polishd.drivers.transport.can_frames import CanFrame
 from polishd.sim_backends.cia402 import device as stage
 from polishd.sim_backends.cia402.device import Power
 from tests.vectors import vectors
