@@ -20,20 +20,12 @@ from pathlib import Path
 from typing import Any
 
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import (
-    JobMaker,
-    build_cell,
-    build_notifiers,
-    make_job,
-    read_recipes,
-    require_accepted_by_robot,
-    require_time_limits,
-    run_folder,
-)
+from polishd.daemon.assembly import build_cell, build_notifiers, require_accepted_by_robot, require_time_limits
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.recorder import place, recording_to
 from polishd.daemon.contact.stall_removal import require_stall_depth
 from polishd.daemon.job.resume_checks import require_same, terms_of
+from polishd.daemon.job_assembly import JobMaker, make_job, read_recipes, run_folder
 from polishd.daemon.job_runner import JobRunner, run_until_finished
 from polishd.daemon.job_source import QueuedJobs, SingleJob
 from polishd.daemon.journal.journal import Journal

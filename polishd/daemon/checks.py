@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -32,8 +32,6 @@ from polishd.daemon.contact.stall_removal import (
     timing_uncertainty_s,
     tolerance_nm,
 )
-from polishd.daemon.queue.queue import NewJob
-from polishd.daemon.queue.requests import new_job
 from polishd.daemon.runtime.exit_record import locked
 from polishd.daemon.runtime.process import host
 from polishd.interfaces import ForceActuator
@@ -47,6 +45,9 @@ from polishd.pipeline.precheck import require_fit
 from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import Hooks, hooks_of_job
 from polishd.process.removal import contact
+
+if TYPE_CHECKING:
+    from polishd.daemon.queue.queue import NewJob
 
 OnStep = Callable[[str], None]
 """Callback with a description of the next step."""
@@ -137,6 +138,8 @@ def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: se
 
     Jobs that differ only in name and part are checked once; ``judged``: those of earlier calls, kept by the caller.
     """
+    from polishd.daemon.queue.requests import new_job  # this import is slow
+
     jobs, wrong, judged = [], [], set() if judged is None else judged
     for path in paths:
         try:

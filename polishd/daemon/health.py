@@ -19,11 +19,11 @@ from heapq import nlargest
 from pathlib import Path
 from typing import Any
 
-from polishd.daemon.assembly import NoJob
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.device_polling import running_beside
 from polishd.daemon.job.job import Job
 from polishd.daemon.job.part_handling import approve
+from polishd.daemon.job_assembly import NoJob
 from polishd.daemon.journal.store import LATE_S
 from polishd.daemon.runtime.events import EventBus
 from polishd.daemon.runtime.memory import LEAST_MB, process_memory_mb

@@ -17,7 +17,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, TypeVar, cast
 
-from polishd.daemon.assembly import NoJob, figures
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.cell.device_polling import root_cause
 from polishd.daemon.cell.readiness import monitoring_signals
@@ -27,6 +26,7 @@ from polishd.daemon.cycle import polish
 from polishd.daemon.health import Health, health_snapshot, status_snapshot
 from polishd.daemon.job.job import Job
 from polishd.daemon.job.part_handling import require_clear
+from polishd.daemon.job_assembly import NoJob, figures
 from polishd.daemon.job_source import QueuedJobs, SingleJob
 from polishd.daemon.queue.queue import BY_A_PERSON, JobResult, QueueEntry
 from polishd.daemon.queue.requests import QueueRequests

@@ -14,8 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
-from polishd.daemon.assembly import NoJob, figures
 from polishd.daemon.job.job import Job
+from polishd.daemon.job_assembly import NoJob, figures
 from polishd.daemon.journal.journal import Journal, over_row
 from polishd.daemon.queue.queue import JobResult, Queue, QueueEntry, judge
 from polishd.daemon.queue.requests import ShopAssignments
@@ -140,7 +140,7 @@ class SingleJob(JobSource):
 
 
 MakeJob = Callable[[QueueEntry, Queue, Journal, Callable[[Event], None]], Awaitable[tuple[Job, RunFolder]]]
-"""Makes an entry's job and run folder and journals it as under way; see ``assembly.JobMaker``."""
+"""Makes an entry's job and run folder and journals it as under way; see ``job_assembly.JobMaker``."""
 EMPTY = "the queue is empty: add jobs with polishd queue add CELL.toml JOB.toml, then polishd run CELL.toml --queue"
 GOES_ON = "no job was under way: polishd run CELL.toml --queue runs the waiting jobs; a held cell starts held"
 

@@ -14,9 +14,9 @@ from typing import Any, Self
 
 import pytest
 
-from polishd.daemon import app, assembly
-from polishd.daemon.assembly import run_folder
+from polishd.daemon import app, job_assembly
 from polishd.daemon.cell import cell
+from polishd.daemon.job_assembly import run_folder
 from polishd.daemon.job_runner import JobRunner
 from polishd.daemon.job_source import SingleJob
 from polishd.daemon.journal.journal import Journal
@@ -490,7 +490,7 @@ class Site:
         monkeypatch.setattr(app, "read_recipes", lambda config, hooks: (self.recipe,))
         monkeypatch.setattr(app, "read_programs", lambda config, recipe: (self.program,))
         monkeypatch.setattr(app, "build_cell", self.build)
-        monkeypatch.setattr(assembly, "contact_limits", lambda config: LIMITS)
+        monkeypatch.setattr(job_assembly, "contact_limits", lambda config: LIMITS)
         monkeypatch.setattr(app, "Compute", InProcess)
         monkeypatch.setattr(app, "_journal", kept)
 

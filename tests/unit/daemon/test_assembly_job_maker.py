@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from polishd.config.job_file import JobFile
-from polishd.daemon import assembly
+from polishd.daemon import job_assembly
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.queue.queue import NewJob, Queue
 from polishd.model.errors import ConfigError
@@ -41,7 +41,7 @@ async def test_a_kill_leaves_no_job_in_the_journal_that_the_queue_has_not_begun(
     def killed(*_: Any) -> None:
         raise Killed
 
-    monkeypatch.setattr(assembly, "require_same", killed)
+    monkeypatch.setattr(job_assembly, "require_same", killed)
     with Journal.of_cell(tmp_path) as journal, pytest.raises(Killed):
         await made(journal, queue_of(journal), monkeypatch)
     with Journal.of_cell(tmp_path) as journal:
@@ -69,11 +69,11 @@ async def made(
         return {}
 
     for name in CHECKS:
-        monkeypatch.setattr(assembly, name, lambda *_: None)
-    monkeypatch.setattr(assembly, "require_unchanged", lambda *_: config)
-    monkeypatch.setattr(assembly, "hooks_of_job", lambda *_: None)
-    monkeypatch.setattr(assembly, "read_recipes", lambda *_: [SimpleNamespace(instrument=None)])
-    monkeypatch.setattr(assembly, "terms_of", terms_of)
+        monkeypatch.setattr(job_assembly, name, lambda *_: None)
+    monkeypatch.setattr(job_assembly, "require_unchanged", lambda *_: config)
+    monkeypatch.setattr(job_assembly, "hooks_of_job", lambda *_: None)
+    monkeypatch.setattr(job_assembly, "read_recipes", lambda *_: [SimpleNamespace(instrument=None)])
+    monkeypatch.setattr(job_assembly, "terms_of", terms_of)
     odd: Any = compute
-    make = assembly.JobMaker(config, None, None, odd)  # type: ignore[arg-type]
+    make = job_assembly.JobMaker(config, None, None, odd)  # type: ignore[arg-type]
     await make(entry, queue, journal, lambda _: None)

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon import app
-from polishd.daemon.assembly import figures as figures_of
+from polishd.daemon.job_assembly import figures as figures_of
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.runtime.exit_record import RECORD_NAME, last_ending
 from polishd.daemon.socket.client import request
