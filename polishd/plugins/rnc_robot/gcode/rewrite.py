@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import chain, islice
 from typing import Any, BinaryIO, NamedTuple, Protocol
 
 import numpy as np
@@ -164,6 +165,8 @@ Each = Callable[[ProgramChunk, Points, Checks], None]
 
 ENOUGH_MOVES = 10_000
 """So many feed moves without a dwell, and the time sits in the feed."""
+MOST_PIECES = 64
+"""So much text without a dwell or so many moves, and the same holds: these pieces are kept."""
 
 Progress = Callable[[int], None]
 """Hears of bytes read."""
@@ -215,7 +218,7 @@ def rewrite_stream(
 
     No byte changes outside numbers that carry time. Where F still holds from an earlier block and must differ, an F
     word is added. What rounding leaves is carried to the next point, so that the total is exact to one quantum.
-    ``file`` must be seekable: where its time sits is found out first. ProgramError leaves half a program in ``out``.
+    ProgramError leaves half a program in ``out``.
     """
     writer: Writer | None = None
     changed = 0
@@ -235,36 +238,39 @@ def rewrite_stream(
     return passed
 
 
-def _chunks(file: BinaryIO, digest: hashlib._Hash | None, progress: Progress | None) -> Iterator[bytes]:
+def _chunks(file: BinaryIO, digest: hashlib._Hash, progress: Progress | None) -> Iterator[bytes]:
     file.seek(0)
     while chunk := file.read(PIECE_BYTES):
-        if digest is not None:
-            digest.update(chunk)
+        digest.update(chunk)
         yield chunk
         if progress is not None:
             progress(len(chunk))
 
 
-def _guessed(dialect: GcodeDialect, file: BinaryIO, name: str) -> Encoding:
-    """Where the time sits: in dwells from the first dwell on; the whole program must bear it out."""
-    scanner, tally = Scanner(dialect, name), TimeWordCounts()
-    for piece in scanner.pieces(_chunks(file, None, None)):
+def _beginning(pieces: Iterator[ProgramChunk], tally: TimeWordCounts) -> list[ProgramChunk]:
+    """The first pieces, which show where the time sits: in dwells from the first dwell on."""
+    found = []
+    for piece in islice(pieces, MOST_PIECES):
+        found.append(piece)
         tally.add(piece)
         if tally.dwelled or tally.moves > ENOUGH_MOVES:
-            return tally.sits_in()
-    return tally.encoding(name)
+            break
+    return found
 
 
 def scan_program(
     dialect: GcodeDialect, file: BinaryIO, name: str, progress: Progress | None = None, each: Each | None = None
 ) -> StreamCounts:
     """Read a program without keeping it; ``each`` piece with its points is given away. ProgramError names the line."""
-    encoding = _guessed(dialect, file, name)
-    scanner, tally, checks = Scanner(dialect, name), TimeWordCounts(), Checks(dialect, name, encoding)
-    reader, passed = PointReader(dialect, name, encoding), StreamCounts(dialect.name, encoding)
-    digest, still = hashlib.sha256(), 0
-    for piece in scanner.pieces(_chunks(file, digest, progress)):
-        tally.add(piece)
+    scanner, tally, digest, still = Scanner(dialect, name), TimeWordCounts(), hashlib.sha256(), 0
+    pieces = scanner.pieces(_chunks(file, digest, progress))
+    begin = _beginning(pieces, tally)
+    encoding = tally.sits_in()  # the whole program must bear it out
+    checks, reader = Checks(dialect, name, encoding), PointReader(dialect, name, encoding)
+    passed = StreamCounts(dialect.name, encoding)
+    for number, piece in enumerate(chain(begin, pieces)):
+        if number >= len(begin):
+            tally.add(piece)
         points = reader.read(piece)
         checks.add(points, scanner)
         still += points.still

@@ -163,12 +163,15 @@ def _digits(text: Any, i: int, end: int, blanks: int, at: Any) -> tuple[int, int
             if kept < 17 and decimals < c.MOST_DECIMALS:
                 mantissa = mantissa * 10 + (byte - 48)
                 decimals += point
-                kept += int(mantissa > 0)
+                if mantissa > 0:
+                    kept += 1
             elif point == 0:
                 raise ProgramError("a number beyond any machine", "correct it")
-            at[c.PADDED] |= int(digits == 0 and byte == 48)
+            if digits == 0 and byte == 48:
+                at[c.PADDED] = 1
             digits += 1 - point
-            at[c.GAPPED] += int(i > after and digits + decimals > 1)
+            if i > after and digits + decimals > 1:
+                at[c.GAPPED] += 1
             after = i + 1
         elif byte == 46 and point == 0:
             point, after = 1, i + 1
@@ -184,8 +187,6 @@ def _digits(text: Any, i: int, end: int, blanks: int, at: Any) -> tuple[int, int
 def take_block(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
     """What a line of words does."""
     at[c.GROUPS] = at[c.LETTERS] = at[c.CODE] = 0
-    for code in range(c.WORDS):
-        line.at[code] = -1
     ends, dwell = 0, False
     for word in range(count):
         code = line.i[word * c.W_INTS + c.W_CODE]
@@ -211,6 +212,8 @@ def take_block(count: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> No
             leave(t, at, now, line, out)
     if ends:
         at[c.ENDED] = at[c.LINE]
+    for word in range(count):
+        line.at[line.i[word * c.W_INTS + c.W_CODE]] = -1
 
 
 def _add_word(code: int, role: int, word: int, count: int, at: Any, line: Any) -> None:
@@ -244,9 +247,10 @@ def _add_g(value: float, t: Any, at: Any, now: Any) -> None:
     does = t.g[code]
     if does == c.NEUTRAL:
         return
-    for other in range(len(c.GROUP)):
-        if c.GROUP[other] == c.GROUP[does] and (at[c.GROUPS] >> other) & 1:
-            raise ProgramError("two G codes of one group in a block contradict each other", "split the block")
+    if at[c.GROUPS]:
+        for other in range(len(c.GROUP)):
+            if c.GROUP[other] == c.GROUP[does] and (at[c.GROUPS] >> other) & 1:
+                raise ProgramError("two G codes of one group in a block contradict each other", "split the block")
     at[c.GROUPS] |= 1 << does
     if does == c.OFFSET:
         if at[c.WCS] != code and at[c.FED]:
