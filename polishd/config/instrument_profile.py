@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import tomlkit
 from pydantic import AwareDatetime, BeforeValidator, Field, StringConstraints, model_validator
 
 from polishd.config.fields import (
@@ -281,6 +280,8 @@ def _write(path: Path, table: str, record: CommissioningRecord | SystemErrorReco
     Raises:
         ConfigError: the file cannot be written, or its layout does not allow it; the file is unchanged.
     """
+    import tomlkit  # this import is slow
+
     before, source = load_toml(path)
     document = tomlkit.parse(source.text)
     if table not in document:

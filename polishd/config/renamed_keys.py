@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-import tomlkit
-
 # Patterns of dotted keys, without the index in a list of tables; the first that fits counts.
 RENAMED_KEYS = {
     "between": "part_handling",
@@ -110,7 +108,11 @@ def present_text(text: str) -> str:
     except tomllib.TOMLDecodeError:
         return text
     present = _present_table(values, "")
-    return text if present == values else f"# Converted to the key names of polishd 1.0\n{tomlkit.dumps(present)}"
+    if present == values:
+        return text
+    import tomlkit  # this import is slow
+
+    return f"# Converted to the key names of polishd 1.0\n{tomlkit.dumps(present)}"
 
 
 def _present_table(table: Mapping[str, Any], above: str) -> dict[str, Any]:

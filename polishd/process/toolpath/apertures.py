@@ -272,7 +272,9 @@ def coverage(
     outside = ~outline.contains(path[:, 0], path[:, 1], -landing_mm)
     x, y = np.meshgrid(*(np.linspace(edge_mm - half, half - edge_mm, ACROSS) for half in outline.half_mm))
     aperture = np.stack([x, y], axis=-1)[outline.contains(x, y, edge_mm)]
-    near, _ = scipy.spatial.cKDTree(path).query(aperture, distance_upper_bound=spot_mm)
+    # Points of a path are spread evenly: a plain tree takes less than half the time.
+    tree = scipy.spatial.cKDTree(path, balanced_tree=False, compact_nodes=False)
+    near, _ = tree.query(aperture, distance_upper_bound=spot_mm)
     return PathCoverage(
         float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(np.isinf(near)))
     )
