@@ -100,7 +100,13 @@ def color_bar(images: Sequence[AxesImage | PathCollection], label: str, panel: A
     above = any(np.nanmax(_values(image), initial=high) > high for image in images)
     extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
     look: dict[str, Any] = {"extend": extend, "extendfrac": 0.03}
-    if panel is None:
+    if panel is None and len(axes) == 1:
+        # inset: as high as the map, which may be lower than its place. A bar of the place's height covers the title
+        ax = axes[0]
+        width_mm, height_mm = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
+        longer = 1.0 if ax.get_aspect() == "auto" else max(height_mm / width_mm, 1.0)
+        look |= {"cax": ax.inset_axes((1 + 0.03 * longer, 0.0, 0.04 * longer, 1.0))}
+    elif panel is None:
         look |= {"ax": axes, "shrink": 0.85, "aspect": 24, "pad": 0.02}
     else:
         box = panel.bbox

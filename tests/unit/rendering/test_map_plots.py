@@ -78,6 +78,16 @@ def test_the_bar_is_pointed_where_values_are_beyond_its_end(ax: Axes, height: fl
     assert image.colorbar.extend == extend
 
 
+@pytest.mark.parametrize("shape", [(20, 20), (20, 40), (40, 20)])
+def test_a_title_that_is_wider_than_its_map_is_not_under_the_bar(shape: tuple[int, int]) -> None:
+    page = figure(3, 5)
+    ax = page.subplots()
+    image = height_map(ax, noise(*shape), 1.0, "calibrated: 1.03 nm RMS, PV 5.64", limit_nm=1.0)
+    page.draw_without_rendering()
+    assert image.colorbar is not None
+    assert not ax.title.get_window_extent().overlaps(image.colorbar.ax.get_tightbbox())
+
+
 def test_the_edge_of_the_aperture_is_drawn(ax: Axes) -> None:
     edge = np.zeros((9, 9), dtype=bool)
     edge[2:7, 2:7] = True
