@@ -2,10 +2,10 @@
 
 The removal is summed on fine patches of the part, spread over the path, on a lattice of a twentieth of the spot's
 radius. In each patch the harmonics of the local line distance are fitted (period p / n across the lines; l / m along
-them where the tool rests on points), for the spot as modelled, for one that is wider or narrower by what its radius is
-uncertain by, and for a tool that trails its path. The line distance is often chosen at a null of the spot's transfer
-function (Dunn and Walker 2008): there the nominal ripple is next to nothing, and a spot that is off by 3 % leaves
-several times as much.
+them where the tool rests on points), of all lines that cross there, for the spot as modelled, for one that is wider or
+narrower by what its radius is uncertain by, and for a tool that trails its path. The line distance is often chosen at a
+null of the spot's transfer function (Dunn and Walker 2008): there the nominal ripple is next to nothing, and a spot
+that is off by 3 % leaves several times as much.
 """
 
 from __future__ import annotations
@@ -53,11 +53,27 @@ SIGMAS_OF_95 = 1.96
 """Standard deviations of a normal distribution within which 95 % lie."""
 REGULAR = 0.2
 """Lines count as regular where their distances differ by less than this share of them."""
+EXACT = 0.03
+"""Lines of several passes repeat where those a period apart differ by less than this share of it."""
+MOST_PASSES = 3
+"""Lines in a period, at most: of a program that makes its path so many times, each time beside the last."""
+MOSTLY = 2 / 3
+"""Share of the patches with regular lines from which these count alone: in the others, lines are farther apart."""
 LEAST_LINES = 4
 ACROSS = 4.0
 """Mean line distances across a line within which others are looked for."""
 ALIGNED = 0.94
 """Cosine of the angle to a line from which a block counts to another direction."""
+STEADY = 0.996
+"""Cosine of the angle that the lines of one direction stay within where others cross them."""
+APART = 0.25
+"""Waves of a patch whose frequencies differ by less, over half its side, are one."""
+RAREST = 0.25
+"""Least share of the blocks near by that run as a line does: more distant ones are looked for by its inverse."""
+CROSSED = 2.0
+"""Mean line distances within which one of the lines that cross a place is looked for."""
+OPEN = 2.5
+"""Lines do not run at a place between two of them that are farther apart than this many mean distances."""
 RATIO_STEP, AZIMUTH_STEP, BEND_STEP = 0.01, np.radians(3.0), 0.01
 """Spots of a patch that differ by less share one window; RATIO_STEP moves a spot's rim by 0.5 % of its radius."""
 RESTING = 0.2
@@ -66,6 +82,8 @@ JUMP = 3.0
 """Points that are farther apart than this many mean distances follow no line."""
 LONG = 1.5
 """Periods beyond this many line distances count as figure, where no line is regular."""
+AGAIN = 2.5
+"""A path that comes back to a place after this many diagonals of the part makes another pass."""
 SQUARES = 128
 """Squares across a modelled spot: their width must not show beside a patch's cells."""
 
@@ -130,7 +148,13 @@ class RippleLine:
     def is_same(self, other: RippleLine) -> bool:
         """Return whether another pass leaves the same line."""
         alike = abs(self.period_mm - other.period_mm) <= SAME_PERIOD * self.period_mm
-        return alike and (self.direction, self.cause) == (other.direction, other.cause)
+        return alike and (self.direction, self.cause) == (other.direction, other.cause) and not self.crosses(other)
+
+    def crosses(self, other: RippleLine) -> bool:
+        """Return whether another line runs at an angle to this one: over the part, they meet in all phases."""
+        if self.azimuth_deg is None or other.azimuth_deg is None:
+            return False
+        return bool(abs(np.cos(np.radians(self.azimuth_deg - other.azimuth_deg))) < ALIGNED)
 
     def is_aligned(self, other: RippleLine) -> bool:
         """Return whether another pass leaves the same line with a known phase to this one."""
@@ -199,7 +223,8 @@ def sum_ripples(passes: Sequence[Ripple]) -> Ripple:
     """Return the ripple of several passes of one tool.
 
     Straight parallel lines of one distance add with their phase: those of a pass between the lines of another cancel.
-    The amplitudes of all other lines of one period add up, as those of one path that is made twice do.
+    The mean squares of straight lines that cross add up, the amplitudes of all other lines of one period, as those of
+    one path that is made twice do.
     """
     same = list[list[RippleLine]]()
     for line in (line for one in passes for line in one.lines):
@@ -275,8 +300,8 @@ def ripple_of(
     spots = [_widened(acting.spot, factor) for factor in factors]
     shift_mm = errors.lag_mm * _travel(acting.blocks) if errors.lag_mm else None
     found = [_patches(spots, acting.blocks, time_s, frame, shift_mm) for frame in frames]
-    regular = [k for k, frame in enumerate(frames) if frame.pitch_mm is not None]
-    some = regular if len(regular) * 2 >= len(frames) else None
+    regular = [k for k, frame in enumerate(frames) if frame.own.pitch_mm is not None]
+    some = regular if len(regular) >= MOSTLY * len(frames) else None
     chosen = list(range(len(frames))) if some is None else some
     frames, found = [frames[k] for k in chosen], [found[k] for k in chosen]
     own = [of[: len(spots)] for of in found]
@@ -305,6 +330,23 @@ def _travel(blocks: PathBlocks) -> FloatArray:
     return np.asarray(np.divide(way, size, out=np.zeros_like(way), where=size > 0), dtype=np.float64)
 
 
+class _Lines(NamedTuple):
+    """Lines in a patch that run one way."""
+
+    along: FloatArray
+    """(2,) unit vector."""
+    pitch_mm: float | None
+    """Distance after which they repeat; None: there is none."""
+    rest_mm: float | None
+    """Distance of points at rest on a line; None: the tool moves."""
+    a_pitch: int = 1
+    """Lines in that distance."""
+
+    @property
+    def across(self) -> FloatArray:
+        return np.array([-self.along[1], self.along[0]])
+
+
 class _Frame(NamedTuple):
     """A patch: where it is, and the lines in it."""
 
@@ -312,20 +354,20 @@ class _Frame(NamedTuple):
     """Its block."""
     centre_mm: FloatArray
     """(2,)"""
-    along: FloatArray
-    """(2,) unit vector of the line through its centre."""
-    pitch_mm: float | None
-    """Distance of the lines; None: they have no common one."""
-    rest_mm: float | None
-    """Distance of points at rest on the line; None: the tool moves."""
+    own: _Lines
+    """Through its centre."""
+    crossing: tuple[_Lines, ...]
+    """Others, in other directions."""
+    line_mm: float
+    """Area over length of the path: mean distance of the lines, of all directions and passes."""
     half_mm: float
     cell_mm: float
     near: Indices
     """Blocks whose spots reach into it, rising."""
 
     @property
-    def across(self) -> FloatArray:
-        return np.array([-self.along[1], self.along[0]])
+    def lines(self) -> tuple[_Lines, ...]:
+        return self.own, *self.crossing
 
     @property
     def cells(self) -> int:
@@ -357,63 +399,147 @@ def _frames(acting: ActingSpots, time_s: FloatArray, grid: Grid, clear: BoolArra
     offsets = np.random.default_rng(0).uniform(size=count)
     chosen = some[((np.arange(count) + offsets) * some.size / count).astype(np.int64)]
     tree = scipy.spatial.cKDTree(middle)
+    move_mm = float(np.median(step_mm))
+    again = AGAIN * float(np.linalg.norm(np.ptp(middle[inside], axis=0))) / move_mm if move_mm > 0 else np.inf
+    again = again if move_mm <= JUMP * mean_mm else np.inf
     reach_mm = float(blocks.reach_mm(acting.spot)[time_s > 0].max()) * (1 + RADIUS_ERROR)
-    found = [_frame(acting, tree, int(k), mean_mm, reach_mm) for k in chosen]
+    found = [_frame(acting, _Places(tree, mean_mm, move_mm, again), int(k), reach_mm) for k in chosen]
     return [one for one in found if one is not None]
 
 
-def _frame(acting: ActingSpots, tree: scipy.spatial.cKDTree, at: int, mean_mm: float, reach_mm: float) -> _Frame | None:
+class _Places(NamedTuple):
+    """Where the blocks are."""
+
+    tree: scipy.spatial.cKDTree
+    """Of the (n, 2) middles."""
+    mean_mm: float
+    """Mean distance of the lines of all passes, or of points that no line joins."""
+    move_mm: float
+    """Median distance of blocks."""
+    again: float
+    """Blocks after which the path is in another pass where it comes back to a place."""
+
+    @property
+    def middle_mm(self) -> FloatArray:
+        """Return the (n, 2) middles."""
+        return np.asarray(self.tree.data)
+
+    def near(self, centre_mm: FloatArray, radius_mm: float) -> Indices:
+        """Return the blocks whose middle is near a place, rising."""
+        return np.sort(np.array(self.tree.query_ball_point(centre_mm, radius_mm), dtype=np.int64))
+
+
+def _frame(acting: ActingSpots, places: _Places, at: int, reach_mm: float) -> _Frame | None:
     """The patch about one block; None where the path has no direction there.
 
     ``reach_mm``: how far from its middle any block polishes.
     """
-    middle = np.asarray(tree.data)
-    blocks, spot = acting.blocks, acting.spot
-    before, after = max(at - 1, 0), min(at + 1, blocks.n - 1)
-    own = blocks.end_mm[at] - blocks.start_mm[at]
+    middle, blocks = places.middle_mm, acting.blocks
+    centre = middle[at]
+    own = _lines_of(blocks, places, centre, at)
+    if own is None:
+        return None
+    around = places.near(centre, ACROSS * places.mean_mm)
+    passes = 1 + np.count_nonzero(np.diff(around) > places.again)
+    crossing = () if own.pitch_mm is None else _crossing(blocks, places, at, own)
+    if any(one.pitch_mm is None for one in crossing):
+        own, crossing = own._replace(pitch_mm=None), ()
+    lines = (own, *crossing)
+    pitches = [one.pitch_mm for one in lines if one.pitch_mm is not None] or [passes * places.mean_mm]
+    rests = [one.rest_mm for one in lines if one.rest_mm is not None]
+    radius = float(acting.spot.half_width_mm(blocks.depth_ratio[at : at + 1])[0])
+    half = PERIODS * max(pitches + rests)
+    dense = [one.a_pitch / one.pitch_mm for one in lines if one.pitch_mm is not None] or [1 / places.mean_mm]
+    cell = max(min(radius / FINER, min(pitches + rests) / CELLS_A_PERIOD), radius / FINEST)
+    return _Frame(at, centre, own, crossing, 1 / sum(dense), half, cell, places.near(centre, 2**0.5 * half + reach_mm))
+
+
+def _crossing(blocks: PathBlocks, places: _Places, at: int, own: _Lines) -> tuple[_Lines, ...]:
+    """The lines of other passes that run at an angle to those of a block, over its middle."""
+    middle = places.middle_mm
+    centre_mm = middle[at]
+    near = places.near(centre_mm, CROSSED * places.mean_mm + places.move_mm / 2)
+    near = near[np.abs(near - at) > places.again]  # a path that bends does not cross itself
+    nearest = near[np.argsort(np.linalg.norm(middle[near] - centre_mm, axis=1))]
+    way = _ways(middle, nearest)
+    found = [own]
+    other = way.any(axis=1) & (np.abs(way @ own.along) <= ALIGNED)
+    while other.any():
+        first = int(np.argmax(other))
+        other[first] = False
+        lines = _lines_of(blocks, places, centre_mm, int(nearest[first]))
+        if lines is not None:
+            found.append(lines)
+            other &= np.abs(way @ lines.along) <= ALIGNED
+    return tuple(one for one in found[1:] if one.a_pitch)
+
+
+def _ways(middle: FloatArray, which: Indices) -> FloatArray:
+    """(m, 2) unit vectors from the block before to the one after some blocks; 0 where they are at one place."""
+    last = np.minimum(which + 1, len(middle) - 1)
+    way = middle[last] - middle[np.maximum(which - 1, 0)]
+    size = np.linalg.norm(way, axis=1, keepdims=True)
+    return np.asarray(np.divide(way, size, out=np.zeros_like(way), where=size > 0), dtype=np.float64)
+
+
+def _lines_of(blocks: PathBlocks, places: _Places, centre_mm: FloatArray, of: int) -> _Lines | None:
+    """The lines about a place that are parallel to a block near it; None where the block has no direction.
+
+    Without lines on both sides of the place, ``a_pitch`` is 0: a path that bends there has no others that cross it.
+    """
+    middle = places.middle_mm
+    before, after = max(of - 1, 0), min(of + 1, blocks.n - 1)
+    own = blocks.end_mm[of] - blocks.start_mm[of]
     length = float(np.linalg.norm(own))
     gap = float(np.linalg.norm(middle[after] - middle[before])) / max(after - before, 1)
     way = own if length > RESTING * gap else middle[after] - middle[before]
     if not np.linalg.norm(way) > 0:
         return None
-    along = way / np.linalg.norm(way)
-    rests = length <= RESTING * gap <= RESTING * JUMP * mean_mm
-    pitch = _line_distance(middle, tree, at, along, (max(gap, mean_mm / 2), ACROSS * mean_mm))
-    longest = max(pitch or mean_mm, gap if rests else 0.0)
-    shortest = min(pitch or mean_mm, gap if rests else np.inf)
-    radius = float(spot.half_width_mm(blocks.depth_ratio[at : at + 1])[0])
-    half = PERIODS * longest
-    cell = max(min(radius / FINER, shortest / CELLS_A_PERIOD), radius / FINEST)
-    near = np.sort(np.array(tree.query_ball_point(middle[at], 2**0.5 * half + reach_mm), dtype=np.int64))
-    return _Frame(at, middle[at], along, pitch, gap if rests else None, half, cell, near)
+    along = np.asarray(way / np.linalg.norm(way), dtype=np.float64)
+    rests = length <= RESTING * gap <= RESTING * JUMP * places.mean_mm
+    pitch, a_pitch = _line_distance(places, centre_mm, along, max(gap, places.mean_mm / 2))
+    return _Lines(along, pitch, gap if rests else None, a_pitch)
 
 
 def _line_distance(
-    middle: FloatArray, tree: scipy.spatial.cKDTree, at: int, along: FloatArray, reach_mm: tuple[float, float]
-) -> float | None:
-    """Distance of the lines that are parallel to the one through a block; None where it is not regular.
+    places: _Places, centre_mm: FloatArray, along: FloatArray, gap_mm: float
+) -> tuple[float | None, int]:
+    """Distance after which the parallel lines about a place repeat, and the lines in it.
 
-    ``reach_mm``: how far along and across the line others are looked for.
+    The distance is None where they do not repeat, the number 0 where they are not on both sides of the place.
+    ``gap_mm``: how far along the lines blocks are looked for.
     """
-    near = np.sort(np.array(tree.query_ball_point(middle[at], sum(reach_mm)), dtype=np.int64))
-    last = np.minimum(near + 1, len(middle) - 1)
-    way = middle[last] - middle[np.maximum(near - 1, 0)]
-    size = np.linalg.norm(way, axis=1)
-    parallel = np.abs(way @ along) > ALIGNED * size
-    place = middle[near] - middle[at]
-    across = np.array([-along[1], along[0]])
-    strip = near[parallel & (np.abs(place @ along) <= 0.75 * reach_mm[0])]
-    if strip.size == 0:
-        return None
-    runs = np.split(strip, np.flatnonzero(np.diff(strip) > 1) + 1)
-    # the point of a run that is nearest to the cut across the lines: on a curved line the mean lies beside it
-    cut = [run[np.argmin(np.abs((middle[run] - middle[at]) @ along))] for run in runs]
-    lines = np.sort((middle[cut] - middle[at]) @ across)
-    if lines.size < LEAST_LINES:
-        return None
-    distance = np.diff(lines)
-    pitch = float(np.median(distance))
-    return pitch if pitch > 0 and np.abs(distance - pitch).max() <= REGULAR * pitch else None
+    middle, reach_mm = places.middle_mm, ACROSS * places.mean_mm
+    a_pitch, share = 0, 1.0
+    for _ in range(2):
+        near = places.near(centre_mm, gap_mm + reach_mm / share)
+        parallel = np.abs(_ways(middle, near) @ along) > ALIGNED
+        place = middle[near] - centre_mm
+        strip = near[parallel & (np.abs(place @ along) <= 0.75 * gap_mm)]
+        runs = np.split(strip, np.flatnonzero(np.diff(strip) > 1) + 1) if strip.size else []
+        # the point of a run that is nearest to the cut across the lines: on a curved line the mean lies beside it
+        cut = [run[np.argmin(np.abs((middle[run] - centre_mm) @ along))] for run in runs]
+        lines = np.sort((middle[cut] - centre_mm) @ np.array([-along[1], along[0]])) if cut else np.zeros(0)
+        pitch, a_pitch = _repeat(lines)
+        if pitch is not None or parallel.all():
+            return pitch, a_pitch
+        share = max(float(parallel.mean()), RAREST)  # lines that others cross may be farther apart than the mean
+    return None, a_pitch
+
+
+def _repeat(lines_mm: FloatArray) -> tuple[float | None, int]:
+    """Distance after which (n,) rising places of lines repeat, and the lines in it, as of `_line_distance`."""
+    if lines_mm.size < LEAST_LINES or lines_mm[0] > 0 or lines_mm[-1] < 0:
+        return None, 0
+    mean_mm = float(lines_mm[-1] - lines_mm[0]) / (lines_mm.size - 1)
+    if lines_mm[lines_mm >= 0].min() - lines_mm[lines_mm <= 0].max() > OPEN * mean_mm:
+        return None, 0
+    for a_pitch in range(1, min(MOST_PASSES, lines_mm.size - LEAST_LINES + 1) + 1):
+        distance = lines_mm[a_pitch:] - lines_mm[:-a_pitch]
+        pitch = float(np.median(distance))
+        if pitch > 0 and np.abs(distance - pitch).max() <= (REGULAR if a_pitch == 1 else EXACT) * pitch:
+            return pitch, a_pitch
+    return None, 1
 
 
 class _Patch(NamedTuple):
@@ -492,32 +618,71 @@ def _kinds(blocks: PathBlocks) -> tuple[PathBlocks, Indices]:
     return blocks.part(first), kind.ravel()
 
 
-_Wave = tuple[tuple[Direction, int], FloatArray, float]
-"""Direction and number, unit vector, and period of a harmonic."""
+_Kind = tuple[int, Direction, int]
+"""Which of the directions of the path's lines a harmonic belongs to, its direction, and its number."""
+
+
+class _Wave(NamedTuple):
+    """A harmonic of the lines of a patch."""
+
+    direction: Direction
+    number: int
+    way: FloatArray
+    """(2,) unit vector."""
+    period_mm: float
+    along: FloatArray = np.zeros(2)
+    """(2,) unit vector of its lines."""
 
 
 def _harmonics(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid_mm: float) -> tuple[RippleLine, ...]:
     """The harmonics across the lines, and along them where the tool rests on points; ``found``: by frame and spot."""
-    amplitudes: dict[tuple[Direction, int], list[list[float]]] = {}
-    periods: dict[tuple[Direction, int], list[float]] = {}
-    shares: dict[tuple[Direction, int], list[float]] = {}
-    for k, frame in enumerate(frames):
+    squares: dict[_Kind, list[FloatArray]] = {}
+    periods: dict[_Kind, list[float]] = {}
+    shares: dict[_Kind, list[float]] = {}
+    ways = _directions(frames)
+
+    def nearest(along: FloatArray) -> int:
+        return int(np.argmax(np.abs(ways @ along)))
+
+    for frame, patches in zip(frames, found, strict=True):
         waves = _waves(frame)
-        for kind, way, period in waves:
-            periods.setdefault(kind, []).append(period)
-            shares.setdefault(kind, []).append(float(_kept(way / period, grid_mm) ** 2))
-        for (kind, _, _), values in zip(waves, _fitted(frame, found[k], waves), strict=True):
-            amplitudes.setdefault(kind, []).append(list(values))
-    lines, row = [], _row(frames)
-    for kind, values in amplitudes.items():
-        rms = [float(v) for v in np.sqrt(np.mean(np.square(values), axis=0) / 2)]
-        direction, period = kind[0], float(np.median(periods[kind]))
-        share = float(np.mean(shares[kind]))
+        for wave, values in zip(waves, _fitted(frame, patches, waves), strict=True):
+            kind = (nearest(wave.along), wave.direction, wave.number)
+            periods.setdefault(kind, []).append(wave.period_mm)
+            shares.setdefault(kind, []).append(float(_kept(wave.way / wave.period_mm, grid_mm) ** 2))
+            squares.setdefault(kind, []).append(values**2)
+    rows = [_row([frame for frame in frames if nearest(frame.own.along) == way]) for way in range(len(ways))]
+    lines = []
+    for kind, values in squares.items():
+        way, direction, number = kind
+        # over all patches: what is not in some of them leaves nothing there
+        rms = [float(v) for v in np.sqrt(np.sum(values, axis=0) / len(frames) / 2)]
+        period, share, row = float(np.median(periods[kind])), float(np.mean(shares[kind])), rows[way]
         line = RippleLine(direction, period, rms[0] * 2**0.5, rms[0], max(rms), share)
         if direction == "across" and row is not None:
-            line = replace(line, azimuth_deg=row.azimuth_deg, phase=(kind[1] * row.phase) % 1.0)
+            line = replace(line, azimuth_deg=row.azimuth_deg, phase=(number * row.phase) % 1.0)
         lines.append(line)
+    if any(kind[1] == "along" for kind in squares):
+        # points of several lines make patterns askew, by how those of one line lie beside those of the next
+        every = _short_of(frames, found, grid_mm)
+        known = np.sum([np.sum(values, axis=0) for values in squares.values()], axis=0) / len(frames) / 2
+        left = np.maximum(every[:, 0] - known, 0.0)
+        if left[0] > 0:
+            on_grid = every[0, 1] - sum(one.on_grid * one.rms_nm**2 for one in lines)
+            share = float(np.clip(on_grid / left[0], 0.0, 1.0))
+            lines.append(_broad_line(left, float(every[0, 0] / every[0, 2]), share))
     return tuple(lines)
+
+
+def _directions(frames: Sequence[_Frame]) -> FloatArray:
+    """(k, 2) unit vectors of lines that cross, where those of each keep their direction over the part; else one."""
+    found: list[FloatArray] = []
+    if any(frame.crossing for frame in frames):
+        for line in (line for frame in frames for line in frame.lines):
+            if not any(abs(line.along @ one) > STEADY for one in found):
+                found.append(line.along)
+    apart = all(abs(one @ two) < ALIGNED for k, one in enumerate(found) for two in found[:k])
+    return np.array(found) if found and apart else np.eye(1, 2)
 
 
 class _Row(NamedTuple):
@@ -530,10 +695,10 @@ class _Row(NamedTuple):
 
 def _row(frames: Sequence[_Frame]) -> _Row | None:
     """The row of the lines through the patches' centres; None where they are bent, or not equally far apart."""
-    pitches = [frame.pitch_mm for frame in frames if frame.pitch_mm is not None]
-    if len(pitches) < len(frames):
+    pitches = [frame.own.pitch_mm for frame in frames if frame.own.pitch_mm is not None]
+    if not pitches or len(pitches) < len(frames):
         return None
-    ways = np.array([frame.along[0] + 1j * frame.along[1] for frame in frames])
+    ways = np.array([frame.own.along[0] + 1j * frame.own.along[1] for frame in frames])
     azimuth_deg = round(float(np.degrees(np.angle((ways**2).sum()) / 2)), 3) % 180.0
     along = np.exp(1j * np.radians(azimuth_deg))
     if np.abs((ways * along.conjugate()).imag).max() > np.radians(EQUAL_DEG):
@@ -551,32 +716,57 @@ def _row(frames: Sequence[_Frame]) -> _Row | None:
 
 
 def _waves(frame: _Frame) -> list[_Wave]:
-    """(direction, number), unit vector and period of each harmonic of a patch."""
-    found: list[_Wave] = []
-    for direction, way, period in (("across", frame.across, frame.pitch_mm), ("along", frame.along, frame.rest_mm)):
-        if period is not None:
-            found += [((direction, n), way, period / n) for n in range(1, HARMONICS + 1)]  # type: ignore[misc]
+    """The harmonics of a patch."""
+    found = list[_Wave]()
+    for lines in frame.lines:
+        for direction, way, period, count in (
+            ("across", lines.across, lines.pitch_mm, HARMONICS * lines.a_pitch),
+            ("along", lines.along, lines.rest_mm, HARMONICS),
+        ):
+            if period is not None:
+                found += [_Wave(direction, n, way, period / n, lines.along) for n in range(1, count + 1)]  # type: ignore[arg-type]
+    return _apart(found, frame.half_mm)
+
+
+def _apart(waves: Sequence[_Wave], half_mm: float) -> list[_Wave]:
+    """Return the waves that a patch can tell from those before them: points at rest may lie on lines that cross."""
+    found = list[_Wave]()
+    for wave in waves:
+        own = wave.way / wave.period_mm
+        others = [sign * one.way / one.period_mm for one in found for sign in (1, -1)]
+        if all(np.linalg.norm(own - other) > APART / half_mm for other in others):
+            found.append(wave)
     return found
 
 
 def _fitted(frame: _Frame, patches: Sequence[_Patch], waves: Sequence[_Wave]) -> FloatArray:
     """(waves, patches) amplitude, zero to peak, nm, of each wave, beside a smooth surface.
 
-    The fit is weighted towards the centre of the patch, in a strip across the lines that is short along them: there a
-    curved line is still straight.
+    The fit of the waves of lines is weighted towards the centre of the patch, in a strip across these lines that is
+    short along them: there a curved line is still straight, and the amplitude about the same.
     """
+    amplitude = np.zeros((len(waves), len(patches)))
+    for lines in frame.lines:
+        mine = [k for k, wave in enumerate(waves) if wave.along is lines.along]
+        amplitude[mine] = _fitted_across(frame, lines, patches, waves)[mine]
+    kept = np.array([_kept(wave.way / wave.period_mm, frame.cell_mm) for wave in waves])
+    return np.asarray(amplitude / kept[:, None], dtype=np.float64)
+
+
+def _fitted_across(frame: _Frame, lines: _Lines, patches: Sequence[_Patch], waves: Sequence[_Wave]) -> FloatArray:
+    """(waves, patches) amplitude of each wave as the patch's cells have it, nm, in a strip across some of its lines."""
     at = patches[0].at_mm
     half = frame.half_mm
-    pitch = frame.pitch_mm or half / PERIODS
-    strip = min(max(pitch, 1.5 * (frame.rest_mm or 0.0)), half / 2)
+    longest = max([lines.pitch_mm or half / PERIODS, *(one.pitch_mm for one in frame.crossing if one.pitch_mm)])
+    strip = min(max(longest, 1.5 * (lines.rest_mm or 0.0)), half / 2)
     x, y = np.meshgrid(at, at[::-1])
-    along, across = (x * w[0] + y * w[1] for w in (frame.along, frame.across))
+    along, across = (x * w[0] + y * w[1] for w in (lines.along, lines.across))
     held = (np.abs(across) <= half) & (np.abs(along) <= strip)
     s, v = along[held] / half, across[held] / half
     where = np.column_stack([x[held], y[held]])
     height = np.column_stack([patch.height_nm[held] for patch in patches])
     terms = [v**k for k in range(5)] + [s, s**2, s * v, s * v**2]
-    terms += [part(2 * np.pi * (where @ way) / period) for _, way, period in waves for part in (np.cos, np.sin)]
+    terms += [part(2 * np.pi * (where @ wave.way) / wave.period_mm) for wave in waves for part in (np.cos, np.sin)]
     weight = np.cos(np.pi * v / 2)[:, None]
     basis = np.column_stack(terms) * weight
     wanted = (height - height.mean(axis=0)) * weight
@@ -585,8 +775,7 @@ def _fitted(frame: _Frame, patches: Sequence[_Patch], waves: Sequence[_Wave]) ->
     except scipy.linalg.LinAlgError:
         found = np.linalg.lstsq(basis, wanted, rcond=None)[0]
     own = found[-2 * len(waves) :].reshape(len(waves), 2, -1)
-    kept = np.array([_kept(way / period, frame.cell_mm) for _, way, period in waves])
-    return np.asarray(np.hypot(own[:, 0], own[:, 1]) / kept[:, None], dtype=np.float64)
+    return np.asarray(np.hypot(own[:, 0], own[:, 1]), dtype=np.float64)
 
 
 def _kept(frequency: FloatArray, cell_mm: float) -> float:
@@ -596,17 +785,25 @@ def _kept(frequency: FloatArray, cell_mm: float) -> float:
 
 def _broad(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid_mm: float) -> tuple[RippleLine, ...]:
     """Whatever has periods of up to LONG line distances, as one line at its mean frequency."""
-    squares = np.zeros((len(found[0]), 3))
-    for frame, patches in zip(frames, found, strict=True):
-        for number, patch in enumerate(patches):
-            squares[number] += _short(patch, frame.cell_mm, LONG * frame.half_mm / PERIODS, grid_mm)
-    squares /= len(frames)
+    squares = _short_of(frames, found, grid_mm)
     if not squares[0, 0] > 0:
         return ()
-    rms = np.sqrt(squares[:, 0])
-    period = float(squares[0, 0] / squares[0, 2])
-    share = float(squares[0, 1] / squares[0, 0])
-    return (RippleLine("every", period, float(rms[0] * 2**0.5), float(rms[0]), float(rms.max()), share),)
+    return (_broad_line(squares[:, 0], float(squares[0, 0] / squares[0, 2]), float(squares[0, 1] / squares[0, 0])),)
+
+
+def _broad_line(squares: FloatArray, period_mm: float, on_grid: float) -> RippleLine:
+    """A line in all directions; ``squares`` (spots,) nm^2."""
+    rms = np.sqrt(squares)
+    return RippleLine("every", period_mm, float(rms[0] * 2**0.5), float(rms[0]), float(rms.max()), on_grid)
+
+
+def _short_of(frames: Sequence[_Frame], found: Sequence[Sequence[_Patch]], grid_mm: float) -> FloatArray:
+    """(spots, 3) mean over the patches of `_short`, of periods of up to LONG line distances."""
+    each = [
+        [_short(patch, frame.cell_mm, LONG * frame.half_mm / PERIODS, grid_mm) for patch in patches]
+        for frame, patches in zip(frames, found, strict=True)
+    ]
+    return np.asarray(np.mean(each, axis=0), dtype=np.float64)
 
 
 def _lagging(
@@ -619,11 +816,19 @@ def _lagging(
     squares, periods = [], []
     for frame, (prompt, late) in zip(frames, found, strict=True):
         change = _Patch(late.height_nm - prompt.height_nm, prompt.at_mm)
-        if regular and frame.pitch_mm is not None:
-            twice: list[_Wave] = [(("across", n), frame.across, 2 * frame.pitch_mm / n) for n in (1, 3)]
+        if regular and frame.own.pitch_mm is not None:
+            twice = _apart(
+                [
+                    _Wave("across", n, one.across, 2 * one.pitch_mm / one.a_pitch / n, one.along)
+                    for one in frame.lines
+                    if one.pitch_mm is not None
+                    for n in (1, 3)
+                ],
+                frame.half_mm,
+            )
             amplitude = _fitted(frame, [change], twice)[:, 0]
-            periods.append(2 * frame.pitch_mm)
-            squares.append((float(amplitude @ amplitude) / 2, _kept(frame.across / periods[-1], grid_mm) ** 2))
+            periods.append(twice[0].period_mm)
+            squares.append((float(amplitude @ amplitude) / 2, _kept(twice[0].way / periods[-1], grid_mm) ** 2))
         else:
             own = _short(change, frame.cell_mm, LONG * frame.half_mm / PERIODS, grid_mm)
             periods.append(float(own[0] / own[2]) if own[2] > 0 else frame.half_mm)
@@ -659,16 +864,16 @@ def _out_of_place(
     sums, fine = np.zeros(2), _widened(acting.spot, 1.0)
     pitches, periods = [], []
     for frame, patch in zip(frames, found, strict=True):
-        pitch = frame.pitch_mm or frame.half_mm / PERIODS
+        pitch, across = frame.line_mm, frame.own.across
         ratio, azimuth = (v[frame.at : frame.at + 1] for v in (acting.blocks.depth_ratio, acting.blocks.azimuth_rad))
         squares = fine.patch(ratio, azimuth)[0]
         half = float(fine.half_width_mm(ratio)[0])
         frequency = (np.arange(FREQUENCIES) + 0.5) / FREQUENCIES / (SHORTEST * half)
-        angle = float(np.arctan2(frame.across[1], frame.across[0]))
+        angle = float(np.arctan2(across[1], across[0]))
         share = modulus_along(squares, 2 * half / len(squares), frequency, angle) / squares.sum()
         step = 1 / (FREQUENCIES * SHORTEST * half)
         power = 2 * step * (2 * np.pi * frequency * share * sigma_mm * float(patch.height_nm.mean())) ** 2 * pitch
-        kept = np.array([_kept(frame.across * f, extent_mm[1]) ** 2 for f in frequency])
+        kept = np.array([_kept(across * f, extent_mm[1]) ** 2 for f in frequency])
         sums += [power.sum(), (power * kept).sum()]
         pitches.append(pitch)
         periods.append(1 / float(np.interp(power.sum() / 2, np.cumsum(power), frequency + frequency[0])))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,24 +77,28 @@ class Lines:
         return blocks, wanted * self.pitch_mm * self.step_mm / rate
 
 
-def direct_nm(blocks: PathBlocks, time_s: FloatArray, scale: float, half_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Places (m,) and removal (m, m), rows with y: the rate at each place, of 24 positions a block, summed."""
-    count = 2 * int(np.ceil(half_mm / (RADIUS_MM / 20))) + 1
-    at = np.linspace(-half_mm, half_mm, count)
-    x, y = np.meshgrid(at, at)
-    height = np.zeros_like(x)
+def direct_nm(
+    blocks: PathBlocks, time_s: FloatArray, scale: float, half_mm: float, pieces: int = 24
+) -> tuple[FloatArray, FloatArray]:
+    """Places (m,) and removal (m, m), rows with y: the rate at each place, of so many positions a block, summed."""
+    side = 2 * int(np.ceil(half_mm / (RADIUS_MM / 20))) + 1
+    at = np.linspace(-half_mm, half_mm, side)
+    height = np.zeros((side, side))
     near = np.abs((blocks.start_mm + blocks.end_mm) / 2).max(axis=1) < half_mm + 3 * RADIUS_MM
     for k in np.flatnonzero(near):
         moves = np.linalg.norm(blocks.end_mm[k] - blocks.start_mm[k]) > 0
         depth = np.array(DEPTH_MM * blocks.depth_ratio[k])
+        radius = RADIUS_MM * blocks.depth_ratio[k] ** 0.5
         sine, cosine = np.sin(blocks.azimuth_rad[k]), np.cos(blocks.azimuth_rad[k])
-        pieces = 24 if moves else 1
-        for share in (np.arange(pieces) + 0.5) / pieces:
+        count = pieces if moves else 1
+        for share in (np.arange(count) + 0.5) / count:
             centre = blocks.start_mm[k] + share * (blocks.end_mm[k] - blocks.start_mm[k])
-            u, v = (x - centre[0]) / scale, (y - centre[1]) / scale
-            touched = u**2 + v**2 < RADIUS_MM**2 * blocks.depth_ratio[k]
+            column, row = (slice(*np.searchsorted(at, [c - radius * scale, c + radius * scale])) for c in centre)
+            u, v = np.meshgrid((at[column] - centre[0]) / scale, (at[row] - centre[1]) / scale)
+            touched = u**2 + v**2 < radius**2
             tool = u[touched] * sine - v[touched] * cosine, u[touched] * cosine + v[touched] * sine
-            height[touched] += contact.removal_rate_nm_s(PROCESS, depth, *tool) * time_s[k] / pieces / scale**2
+            rate = contact.removal_rate_nm_s(PROCESS, depth, *tool)
+            height[row, column][touched] += rate * time_s[k] / count / scale**2
     return at, height
 
 
@@ -433,3 +438,119 @@ def test_bent_lines_have_no_phase() -> None:
     found = ripple_of(ActingSpots(HertzSpot(PROCESS), bent), time_s, GRID, clear())
     assert found.lines
     assert {one.phase for one in found.lines} == {None}
+
+
+# Paths whose lines cross, repeat in pairs or bend: all short periods of the direct sum, at places all over the part.
+
+Path = tuple[PathBlocks, FloatArray]
+
+
+def joined(*parts: Path) -> Path:
+    """One path after the other, as one program makes them."""
+    fields = ("start_mm", "end_mm", "azimuth_rad", "depth_ratio", "factor")
+    blocks = PathBlocks(*(np.concatenate([getattr(blocks, name) for blocks, _ in parts]) for name in fields))
+    return blocks, np.concatenate([time_s for _, time_s in parts])
+
+
+def turned(lines: Lines, *angles_deg: float) -> Path:
+    """Rasters at angles."""
+    return joined(*(replace(lines, angle_deg=lines.angle_deg + angle).blocks() for angle in angles_deg))
+
+
+def beside(lines: Lines, *shifts: float) -> Path:
+    """Rasters shifted by shares of their distance."""
+    return joined(*(shifted(lines, shift) for shift in shifts))
+
+
+def turns(pitch_mm: float, azimuth_deg: float, phase: float = 0.0, *, way: int = 1, rings: bool = False) -> Path:
+    """A spiral or rings, up to a radius of 20 mm."""
+    start, end = list[FloatArray](), list[FloatArray]()
+    for number in range(int(20.0 / pitch_mm)):
+        count = max(int(2 * np.pi * (number + 0.5) * pitch_mm), 8)
+        share = np.arange(count + 1) / count
+        radius = (number + phase + (0.5 if rings else share)) * pitch_mm * np.ones(count + 1)
+        angle = way * 2 * np.pi * share
+        points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        start.append(points[:-1])
+        end.append(points[1:])
+    starts, ends = np.concatenate(start), np.concatenate(end)
+    n = len(starts)
+    rate = float(contact.volume_rate_nm_mm2_s(PROCESS, np.array([0.95 * DEPTH_MM]))[0])
+    blocks = PathBlocks(starts, ends, np.full(n, np.radians(azimuth_deg)), np.full(n, 0.95), np.ones(n))
+    return blocks, 15.0 * pitch_mm * np.linalg.norm(ends - starts, axis=1) / rate
+
+
+def short_rms_nm(path: Path, scale: float, longest_mm: float, half_mm: float) -> float:
+    """RMS of the periods up to one, in tapered squares at three places of the part, none the pole of a spiral."""
+    power = list[float]()
+    for centre in ((7.0, -3.0), (-6.0, 4.0), (1.0, -8.0)):
+        at, height = direct_nm(path[0].seen_from(np.array(centre)), path[1], scale, half_mm, 8)
+        taper = np.hanning(at.size + 2)[1:-1]
+        weight = taper[:, None] * taper
+        x, y = np.meshgrid(at / half_mm, at / half_mm)
+        terms = np.column_stack([(x**i * y**j).ravel() for i in range(5) for j in range(5 - i)])
+        root = weight.ravel() ** 0.5
+        fit = np.linalg.lstsq(terms * root[:, None], height.ravel() * root, rcond=None)[0]
+        left = (height.ravel() - terms @ fit).reshape(height.shape)
+        frequency = np.fft.fftfreq(at.size, at[1] - at[0])
+        short = np.hypot(frequency[:, None], frequency) > 1 / longest_mm
+        spectrum = np.abs(np.fft.fft2(left * weight)) ** 2
+        power.append(float(spectrum[short].sum()) / at.size**2 / float((weight**2).sum()))
+    return float(np.sqrt(np.mean(power)))
+
+
+def at_random(seed: int) -> Lines:
+    """A raster of half the removal, whose spot, line distance, gamma and dwell gradient are drawn."""
+    rng = np.random.default_rng(seed)
+    pitch, azimuth, angle = (float(v) for v in rng.uniform([1.0, 0.0, 0.0], [2.0, 180.0, 180.0]))
+    low, high, along, across = (float(v) for v in rng.uniform([0.85, 0.85, -0.4, -0.4], [1.0, 1.0, 0.4, 0.4]))
+    return Lines(
+        pitch, azimuth_deg=azimuth, gamma=(low, high), slope=(along, across), angle_deg=angle, mean_nm=10.0
+    )  # fmt: skip
+
+
+FAMILIES: dict[str, tuple[Callable[[], Path], float]] = {
+    "crossed at 90 degrees, drawn": (lambda: turned(at_random(1), 0.0, 90.0), at_random(1).pitch_mm),
+    "crossed at 60 degrees, drawn": (lambda: turned(at_random(2), 0.0, 60.0), at_random(2).pitch_mm),
+    "crossed at 35 degrees, drawn": (lambda: turned(at_random(3), 0.0, 35.0), at_random(3).pitch_mm),
+    "crossed, of two distances": (lambda: joined(Lines(1.2).blocks(), Lines(1.7, angle_deg=90.0).blocks()), 1.7),
+    "crossed, points at rest": (lambda: turned(Lines(1.0, rests=True, mean_nm=10.0), 0.0, 90.0), 1.0),
+    "three at 60 degrees": (lambda: turned(Lines(1.6, mean_nm=7.0), 0.0, 60.0, 120.0), 1.6),
+    "shifted by 0.3": (lambda: beside(at_random(4), 0.0, 0.3), at_random(4).pitch_mm),
+    "shifted by 0.1 and 0.5": (lambda: beside(Lines(1.5, mean_nm=7.0), 0.0, 0.1, 0.5), 1.5),
+    "spiral": (lambda: turns(1.5, 90.0), 1.5),
+    "spiral shifted by 0.3": (lambda: joined(turns(1.5, 90.0), turns(1.5, 90.0, 0.3)), 1.5),
+    "spirals to and fro": (lambda: joined(turns(1.3, 20.0), turns(1.3, 20.0, 0.5, way=-1)), 1.3),
+    "rings": (lambda: turns(1.2, 0.0, rings=True), 1.2),
+}
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("family", FAMILIES)
+def test_paths_of_many_lines_have_the_short_periods_of_a_direct_sum(family: str) -> None:
+    make, pitch_mm = FAMILIES[family]
+    path = make()
+    found = ripple_of(ActingSpots(HertzSpot(PROCESS), path[0]), path[1], GRID, clear())
+    exact = {scale: short_rms_nm(path, scale, 1.5 * pitch_mm, 4 * pitch_mm) for scale in (1.0, 0.97, 1.03)}
+    assert found.rms_nm == pytest.approx(exact[1.0], rel=0.1)
+    assert 0.9 * max(exact.values()) < found.rms_high_nm
+
+
+def test_crossed_lines_are_stated_by_direction_and_add_in_quadrature() -> None:
+    lines = Lines(1.5, mean_nm=10.0)
+    blocks, time_s = turned(lines, 0.0, 90.0)
+    together = ripple_of(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear())
+    apart = [forecast(replace(lines, angle_deg=angle)) for angle in (0.0, 90.0)]
+    found = {(one.azimuth_deg, round(one.period_mm, 2)): one.rms_nm for one in together.lines}
+    for ripple, angle in zip(apart, (0.0, 90.0), strict=True):
+        assert found[angle, 1.5] == pytest.approx(ripple.lines[0].rms_nm, rel=0.05)
+    assert sum_ripples(apart).rms_nm == pytest.approx(together.rms_nm, rel=0.05)
+    assert len(sum_ripples(apart).lines) == len(together.lines)
+
+
+def test_lines_out_of_place_leave_less_where_as_many_cross() -> None:
+    half = turned(Lines(1.5, mean_nm=10.0), 0.0, 90.0)
+    errors = PathErrors(0.0, 0.06)
+    crossed = ripple_of(ActingSpots(HertzSpot(PROCESS), half[0]), half[1], GRID, clear(), errors=errors)
+    all_at_once = by_cause(with_errors(Lines(1.5), errors), "line_error")[0].rms_high_nm
+    assert by_cause(crossed, "line_error")[0].rms_high_nm == pytest.approx(all_at_once / 2**0.5, rel=0.07)
