@@ -27,7 +27,9 @@ from polishd.process.metrology.uncertainty import (
     required_references,
     true_rms_bound,
 )
-from polishd.process.removal.ripple import ActingSpots, Ripple, quieter_pitch_mm, ripple_of
+from polishd.process.removal.quiet_pitch import quieter_pitch_mm
+from polishd.process.removal.ripple import ActingSpots, Ripple
+from polishd.process.removal.ripple_forecast import ripple_of
 
 MOST_SAMPLES = 20_000
 """Of a map, for its bound: with so many samples the square of the RMS is known to 1 %."""

@@ -29,7 +29,7 @@ from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import path_program, read
 from polishd.process.optic_surface import unit_normals
 from polishd.process.removal import contact
-from polishd.process.removal.ripple import MORE_PATH, ContactAt, QuietPitch, quiet_pitch
+from polishd.process.removal.quiet_pitch import MORE_PATH, ContactAt, QuietPitch, quiet_pitch
 from polishd.process.removal.tif import HertzSpot
 from polishd.process.robot.compliance import compliance_at, depth_ratio
 from polishd.process.toolpath import apertures

@@ -25,7 +25,8 @@ from polishd.process.metrology.spectra import RadialPsd, radial_psd, split_bands
 from polishd.process.removal.contact import contact_on_curved_part, hertz_depth_mm
 from polishd.process.removal.dynamic_tif import CorrectedSpot, lean_azimuth_rad, tif_at_point
 from polishd.process.removal.path_tif import SpotPath, levelled_axes
-from polishd.process.removal.ripple import ActingSpots, ripple_of
+from polishd.process.removal.ripple import ActingSpots
+from polishd.process.removal.ripple_forecast import ripple_of
 from polishd.process.removal.spread_effect import WIDTH, damping, spline
 from polishd.process.removal.tif import HertzSpot, Spot, WiderSpot
 from polishd.process.removal.tif_family import blocks_of, reach_cells, windows

@@ -13,19 +13,17 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
 from polishd.process.removal import contact
+from polishd.process.removal.quiet_pitch import ContactAt, quiet_pitch, ripple_shares
 from polishd.process.removal.ripple import (
     RADIUS_ERROR,
     SEAT_MM,
     ActingSpots,
-    ContactAt,
     PathErrors,
     Ripple,
     RippleLine,
-    quiet_pitch,
-    ripple_of,
-    ripple_shares,
     sum_ripples,
 )
+from polishd.process.removal.ripple_forecast import ripple_of
 from polishd.process.removal.tif import HertzSpot, WiderSpot
 from polishd.process.removal.tif_family import PathBlocks
 

@@ -19,7 +19,8 @@ from polishd.pipeline import steps
 from polishd.pipeline.build_recipe import make_recipe
 from polishd.pipeline.recipe import Recipe
 from polishd.plugin_loader import load_cell
-from polishd.process.removal.ripple import PathErrors, Ripple, ripple_of
+from polishd.process.removal.ripple import PathErrors, Ripple
+from polishd.process.removal.ripple_forecast import ripple_of
 from polishd.programs.make import make_program
 from polishd.programs.options import MakeOptions
 from polishd.sim_backends.batch import BatchPlant
