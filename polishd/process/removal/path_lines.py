@@ -55,7 +55,7 @@ class ParallelLines(NamedTuple):
     rest_mm: float | None
     """Distance of points at rest on a line; None: the tool moves."""
     a_pitch: int = 1
-    """Lines in that distance."""
+    """Lines in that distance; 0: none run at the place that they were looked for."""
 
     @property
     def across(self) -> FloatArray:
