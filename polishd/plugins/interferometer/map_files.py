@@ -309,7 +309,7 @@ def heights_digest(surface: SurfaceMap) -> str:
 class DeliveredMap(BaseModel):
     """A file to be delivered, recorded before it is moved."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
     sha256: str
     name: str

@@ -142,7 +142,7 @@ Seconds = Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)]
 class FolderOptions(BaseModel):
     """Keys of ``[metrology] type = "watched_folder"``."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
     folder: ConfigPath
     """Where maps appear. Relative to the config file's folder."""

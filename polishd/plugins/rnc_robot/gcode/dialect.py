@@ -17,7 +17,7 @@ Codes = dict[str, list[float]]
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class DwellWord(_Strict):

@@ -98,7 +98,7 @@ MOST_DECIMALS = 9
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
 
 
 class OrientationNotation(_Strict):
