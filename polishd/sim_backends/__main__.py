@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import fcntl
 import json
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from polishd.model.errors import PolishdError
+from polishd.model.errors import ConfigError, PolishdError
 from polishd.sim_backends.common.hidden_truth import stream
 from polishd.sim_backends.common.registry import find_device
 from polishd.sim_backends.common.runtime import (
@@ -200,7 +203,8 @@ def main() -> int:
 async def _run(start: Start, device: str | None) -> int:
     if device is None:
         arguments = [argument for argument in sys.argv[1:] if argument != "--rebooted"]
-        return await SimSupervisor(start, arguments).run()
+        with _alone(start.state):
+            return await SimSupervisor(start, arguments).run()
     as_hardware()
     if device == "plant":
         from polishd.sim_backends.plant.server import main as plant
@@ -209,6 +213,24 @@ async def _run(start: Start, device: str | None) -> int:
         return 0
     await run_device(device, start, find_device(start.config, device).main)
     return 0
+
+
+@contextmanager
+def _alone(state: Path) -> Iterator[None]:
+    """Hold the state folder of a simulated cell; ConfigError while another cell runs in it.
+
+    A second cell would replace the terminals and the socket of the first one. The kernel drops the lock at any end of
+    its holder; the children do not inherit it.
+    """
+    with (state / ".lock").open("a") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ConfigError(
+                f"{state}: a simulated cell already runs in this folder. Use it, end it (Ctrl-C in its terminal), "
+                "or name another folder with --state"
+            ) from error
+        yield
 
 
 def _artefact(options: argparse.Namespace) -> int:

@@ -342,6 +342,19 @@ def test_a_cell_that_cannot_start_says_why(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
+def test_a_second_start_leaves_the_running_cell_alone(tmp_path: Path) -> None:
+    with cell(tmp_path) as running:
+        before = {path.name: path.lstat().st_ino for path in running.state.iterdir() if path.is_symlink()}
+        run = [sys.executable, "-m", "polishd.sim_backends", str(running.toml)]
+        done = subprocess.run(run, capture_output=True, text=True, check=False, cwd=ROOT, timeout=SOON_S)
+        assert done.returncode == 3
+        assert f"{running.state}: a simulated cell already runs in this folder" in done.stderr
+        assert before == {path.name: path.lstat().st_ino for path in running.state.iterdir() if path.is_symlink()}
+        assert len(running.events("boot")) == len(running.pids) - 1
+        assert (running.state / "endpoints.json").exists()
+
+
+@pytest.mark.full
 def test_a_rebooted_robot_has_a_new_boot_id_the_old_port_and_the_old_place(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         robot = running.robot()
