@@ -11,6 +11,7 @@ from typing import Any
 from typer.core import CompletionItem  # type: ignore[attr-defined]  # of click, or of a copy in typer
 
 from polishd.model.errors import PolishdError
+from polishd.util.files import named_path
 
 MOST_BYTES = 1_000_000
 """Larger TOML files are offered without a look into them."""
@@ -35,7 +36,7 @@ def complete(param: Any, ctx: Any, incomplete: str) -> list[Any]:
 def toml_files(of: Callable[[Mapping[str, Any]], bool], incomplete: str) -> Iterator[str]:
     """Yield TOML files of a kind, and folders, that begin with this text; of a single folder what it contains."""
     head, slash, start = incomplete.rpartition("/")
-    folder = Path(f"{head}{slash}" or ".").expanduser()
+    folder = named_path(Path(), f"{head}{slash}")
     names = sorted(one for one in folder.iterdir() if one.name.startswith(start))
     shown = [one for one in names if start.startswith(".") or not one.name.startswith(".")]
     folders = [f"{head}{slash}{one.name}/" for one in shown if one.is_dir()]

@@ -22,7 +22,7 @@ from polishd.model.states import CellSafety
 from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import emit, key_table, say
 from polishd.util.command_line import terminal_user
-from polishd.util.files import toml_text
+from polishd.util.files import named_path, toml_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +44,13 @@ def cell_summary(path: Path) -> CellSummary:
 
         config = load_config(path)
         return CellSummary(config.cell.name, config.state_dir)
-    return CellSummary(name, path.absolute().parent / Path(state_dir).expanduser())
+    return CellSummary(name, named_path(path.absolute().parent, state_dir))
 
 
 def _cell_value(path: Path, key: str) -> str:
     """Return the value of that key of ``[cell]``: that of the last fragment which has it, or of the file."""
     raw = _read(path)
-    fragments = [_read(path.parent / Path(name).expanduser()) for name in _included_files(raw)]
+    fragments = [_read(named_path(path.parent, name)) for name in _included_files(raw)]
     values = [part["cell"][key] for part in (raw, *fragments) if key in part.get("cell", {})]
     if not values or not isinstance(values[-1], str) or not values[-1]:
         raise LookupError(key)

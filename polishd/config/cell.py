@@ -54,6 +54,7 @@ from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif
 from polishd.model.program import Envelope
 from polishd.model.tolerance import ToleranceLine
+from polishd.util.files import named_path
 
 
 class CellConfig(ServedDocument):
@@ -216,7 +217,7 @@ def load_config(path: Path, overrides: Mapping[str, Any] | None = None) -> CellC
     Raises ConfigError with one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
     """
     raw, source = load_toml(path)
-    fragments = [load_toml(path.parent / Path(name).expanduser()) for name in _included(raw, source)]
+    fragments = [load_toml(named_path(path.parent, name)) for name in _included(raw, source)]
     source = replace(source, overrides=frozenset(overrides or {}), included=tuple(part for _, part in fragments))
     for fragment, part in fragments:
         if "include" in fragment:

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from polishd.config.fields import ConfigSection, Positive, Text, as_tuple
 from polishd.config.toml_loader import TomlDocument, load_toml
 from polishd.model.errors import ConfigError
+from polishd.util.files import named_path
 
 CONTROLLER_PROFILE_DIR = Path(__file__).with_name("controller_profiles")
 LEAST_LOOK_MS = 5.0
@@ -301,7 +302,7 @@ def load_controller_profile(name: str, base_dir: Path) -> ControllerProfile:
         ConfigError: the profile is unknown or cannot be read, or one line per problem: ``FILE:LINE: table.key: ...``.
     """
     if name.endswith(".toml"):
-        return ControllerProfile.of(*load_toml(base_dir / Path(name).expanduser()))
+        return ControllerProfile.of(*load_toml(named_path(base_dir, name)))
     if name not in shipped():
         raise ConfigError(
             f"profile {name!r} is not known; known are {', '.join(shipped())}, or the path of a .toml. Use one of them"

@@ -8,7 +8,7 @@ from pathlib import Path
 from polishd.config.device_profile import KINDS, LEAST, MOST, DeviceProfile, Faults, slots_of, write_of
 from polishd.config.toml_loader import Location, did_you_mean, join_words, loads_toml
 from polishd.model.errors import ConfigError
-from polishd.util.files import toml_text
+from polishd.util.files import named_path, toml_text
 
 Fault = tuple[Location, str]
 
@@ -208,7 +208,7 @@ def shipped() -> list[str]:
 def profile_of(name: str, base_dir: Path) -> DeviceProfile:
     """Read the profile of that name, or a ``.toml`` file relative to ``base_dir``; ConfigError names file and key."""
     if name.endswith(".toml"):
-        return load_device_profile(base_dir / Path(name).expanduser())
+        return load_device_profile(named_path(base_dir, name))
     known = shipped()
     if name not in known:
         hint = f"{did_you_mean(name, known)} polishd has {join_words(known)}. Use one, or your own NAME.toml"

@@ -15,7 +15,7 @@ from polishd.config.cell import FILES, PORTS, CellConfig, consistent, overlay, t
 from polishd.config.fields import OUTLINES
 from polishd.config.toml_loader import TomlSource, join_words, loads_toml
 from polishd.model.errors import ConfigError
-from polishd.util.files import toml_text
+from polishd.util.files import named_path, toml_text
 
 OF_THE_CELL = (
     "include",
@@ -98,7 +98,7 @@ class JobFile:
                     yield key, [self._absolute(name) for name in names]
 
     def _absolute(self, name: str) -> str:
-        return str(self.path.parent / Path(name).expanduser()) if name else name
+        return str(named_path(self.path.parent, name)) if name else name
 
 
 def _drop_other_tolerance(raw: dict[str, Any], fragment: Mapping[str, Any]) -> None:

@@ -29,7 +29,7 @@ from polishd.config.table_files import read_tif
 from polishd.config.toml_loader import TomlDocument, TomlSource, key_lines, load_toml
 from polishd.model.errors import ConfigError
 from polishd.model.process import MeasuredTif, RobotModel
-from polishd.util.files import toml_text
+from polishd.util.files import named_path, toml_text
 
 
 class SimConfig(TomlDocument):
@@ -129,7 +129,7 @@ def _read(path: Path) -> tuple[dict[str, Any], TomlSource, CellValues | None]:
             else f"must be the name of a file, not {named!r}. Correct it."
         )
         raise ConfigError(source.error(("cell",), problem))
-    cell = path.parent / Path(named).expanduser()
+    cell = named_path(path.parent, named)
     try:
         toml_text(cell)
     except ConfigError as error:

@@ -23,7 +23,7 @@ from pydantic import BaseModel, PrivateAttr, Tag, ValidationError
 from polishd.config.fields import ConfigSection
 from polishd.config.renamed_keys import renamed_key
 from polishd.model.errors import ConfigError, PolishdError
-from polishd.util.files import toml_text
+from polishd.util.files import named_path, toml_text
 
 # Location of a key in a TOML text, and its error: ``FILE:LINE: section.key: ...``.
 
@@ -279,7 +279,7 @@ class TomlDocument(ConfigSection):
 
     def resolve(self, path: str) -> Path:
         """Return a path of the file as an absolute path."""
-        return self.base_dir / Path(path).expanduser()
+        return named_path(self.base_dir, path)
 
     def relative(self, path: Path) -> str:
         """Return a path relative to the file's folder."""

@@ -34,6 +34,7 @@ from polishd.api import (
     redact_secrets,
 )
 from polishd.config.fields import ConfigSection
+from polishd.util.files import named_path
 
 # A shop's command: it reads a notification as JSON from standard input.
 
@@ -56,7 +57,7 @@ class Command:
 
     def __init__(self, options: CommandOptions, base_dir: Path) -> None:
         program = options.argv[0]
-        path = str(base_dir / Path(program).expanduser()) if "/" in program else program
+        path = str(named_path(base_dir, program)) if "/" in program else program
         found = shutil.which(path)
         if found is None:
             raise ConfigError(f"{program!r}: no such executable program; correct argv")
@@ -97,7 +98,7 @@ LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 def _trust_context(ca_file: str | None, base_dir: Path) -> ssl.SSLContext:
     """TLS context that trusts the system's authorities, or those of that file. ConfigError, which quotes the file."""
     try:
-        return ssl.create_default_context(cafile=None if ca_file is None else base_dir / Path(ca_file).expanduser())
+        return ssl.create_default_context(cafile=None if ca_file is None else named_path(base_dir, ca_file))
     except (OSError, ssl.SSLError) as error:
         raise ConfigError(f"{ca_file!r}: cannot be read: {error}; name a file of certificates (PEM)") from error
 

@@ -34,7 +34,7 @@ from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError,
 from polishd.model.events import PassProgressed, ShopRateReceived
 from polishd.plugin_loader import Hooks
 from polishd.shop.database import CellReport
-from polishd.util.files import make_folder, read_secret, redact_secrets, write_atomic
+from polishd.util.files import make_folder, named_path, read_secret, redact_secrets, write_atomic
 
 # Requests of a cell to its shop: HTTP with its token, over TLS or on this computer.
 
@@ -57,7 +57,7 @@ class ShopClient:
     def __init__(self, section: ShopLinkSection, base_dir: Path) -> None:
         """ConfigError where there is no token, or the trusted certificates cannot be read."""
         self._section, self._base_dir = section, base_dir
-        self._ca_file = None if section.ca_file is None else base_dir / Path(section.ca_file).expanduser()
+        self._ca_file = None if section.ca_file is None else named_path(base_dir, section.ca_file)
         self._context, self._trusted = self._trusting(), self._signature()
         self._refused = ""
         """Hash of the last refused token."""
@@ -170,7 +170,7 @@ class ShopClient:
 
     def _refusal(self, said: str) -> str:
         kind, _, name = self._section.token.partition(":")
-        where = f"write it into {self._base_dir / Path(name).expanduser()}; the link reads it without a restart"
+        where = f"write it into {named_path(self._base_dir, name)}; the link reads it without a restart"
         if kind == "env":
             where = f"put it into {name}, and start the link again"
         return (

@@ -39,7 +39,9 @@ def whole_file(path: Path, mode: int = 0o644) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         Path(name).replace(path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError):
+            error.filename = str(path)  # write(2) names none, the rest the temporary one
         with contextlib.suppress(FileNotFoundError):
             Path(name).unlink()
         raise
@@ -50,6 +52,25 @@ def write_atomic(path: Path, content: bytes, mode: int = 0o644) -> None:
     """Write ``content`` to ``path``, whole."""
     with whole_file(path, mode) as file:
         file.write(content)
+
+
+def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files by name into ``folder``, each whole; on an error before all are complete, none."""
+    with contextlib.ExitStack() as stack:
+        for name, content in files.items():
+            file = stack.enter_context(whole_file(folder / name))
+            file.write(content)
+            file.flush()  # a full disk shows here, before the first file gets its name
+
+
+def named_path(base: Path, text: str) -> Path:
+    """Return a path that a file or an operator names, from ``base``, with ``~`` as a home folder.
+
+    ``~name`` of no user stays as it is: no such file is found then. ConfigError for a NUL character.
+    """
+    if "\0" in text:
+        raise ConfigError(f"{base}: the path {text!r} contains a NUL character, as no file's name does; correct it")
+    return base / os.path.expanduser(text)  # noqa: PTH111 - Path.expanduser raises RuntimeError where no such user is
 
 
 def toml_text(path: Path) -> str:
@@ -154,9 +175,7 @@ def require_private(path: Path, where: str = "") -> None:
 def read_secret(place: str, base_dir: Path) -> str:
     """The secret, without blanks around it. ConfigError, which quotes the place, where there is none to be read."""
     kind, _, name = place.partition(":")
-    found = (
-        os.environ.get(name, "") if kind == "env" else _from_file(place, base_dir / Path(name).expanduser())
-    ).strip()
+    found = (os.environ.get(name, "") if kind == "env" else _from_file(place, named_path(base_dir, name))).strip()
     if not found or not found.isprintable():
         raise ConfigError(f"{place!r}: holds no secret (one line of text); write it there")
     return found

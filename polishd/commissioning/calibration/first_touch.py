@@ -44,7 +44,7 @@ from polishd.process.toolpath.paths import BETWEEN, Joined, Track, join_tracks
 from polishd.programs.make import contact_radius_mm, dialect_of, in_program_frame
 from polishd.programs.show import program_picture
 from polishd.rendering.terminal import emit, record_table, stderr
-from polishd.util.files import require_new, unwritable_message, write_atomic
+from polishd.util.files import require_new, unwritable_message, write_together
 
 # A first touch: tracks all over a witness part, with their times and their program.
 
@@ -425,7 +425,6 @@ def _write(config: CellConfig, out: Path, touch: FirstTouchPlan, answer: Mapping
     }
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name, content in made.items():
-            write_atomic(out / name, content)
+        write_together(out, made)
     except OSError as error:
         raise unwritable_message(out, error) from error

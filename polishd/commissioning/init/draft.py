@@ -27,6 +27,7 @@ from polishd.model.process import SerialRobot
 from polishd.plugin_loader import Hooks
 from polishd.process.robot.serial import chain
 from polishd.process.toolpath.apertures import on_optic
+from polishd.util.files import named_path
 from polishd.util.serialization import toml
 
 ALWAYS = ("rnc_robot", "interferometer", "removal_models", "dwell_solvers", "plan_checks", "run_report")
@@ -161,7 +162,7 @@ class CellDraft:
                 self.raw[section][name] = moved if many else moved[0]
 
     def _moved(self, given: str) -> str:
-        path = Path(given).expanduser()
+        path = named_path(Path(), given)
         there = self.answers.folder / path
         if path.is_absolute() or not there.exists():  # a name of polishd's own, or what its reader will miss
             return given

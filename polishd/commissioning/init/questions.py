@@ -22,6 +22,7 @@ from polishd.config.toml_loader import in_words, meanings
 from polishd.maps.map_files import MapSource
 from polishd.model.errors import ConfigError, SurfaceError
 from polishd.plugin_loader import Hooks
+from polishd.util.files import named_path
 from polishd.util.serialization import toml
 
 ANSWERS = "answers.toml"
@@ -218,7 +219,7 @@ def _of_process(given: Mapping[str, Any]) -> Iterator[Question]:
 def _value(question: Question, typed: str, folder: Path) -> Any:
     typed = typed.strip()
     if question.key in PATHS and typed:
-        return Path(os.path.relpath(Path(typed).expanduser().absolute(), folder.absolute())).as_posix()
+        return Path(os.path.relpath(named_path(Path.cwd(), typed), folder.absolute())).as_posix()
     if question.text or question.choices or not typed:
         return typed
     try:

@@ -40,7 +40,7 @@ from polishd.process.toolpath.apertures import on_optic, tool_axes
 from polishd.programs.make import make_program, quiet_lines
 from polishd.programs.options import MakeOptions
 from polishd.rendering.terminal import emit, key_table, stderr, stdout
-from polishd.util.files import make_folder, write_atomic
+from polishd.util.files import make_folder, named_path, write_together
 from polishd.util.serialization import toml
 
 # Where a part may lie before the robot.
@@ -208,7 +208,7 @@ def _tif(given: SpotKeys, folder: Path) -> MeasuredTif:
         maps = (folder / str(given.before), folder / str(given.after))
         place = SpotPlace(given.depth_ratio, given.azimuth_deg, None)
         return tif_of_maps(MapSource.of(), maps, given.seconds or 0.0, place)[0]
-    path = folder / Path(given.file).expanduser()
+    path = named_path(folder, given.file)
     if path.suffix == ".npz":
         return read_tif(path)
     rate = _array(path)
@@ -324,7 +324,7 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
     """The files of a cell of these answers; errors: the verb's. Nothing is written."""
     own = answers.own.instrument
     with _blamed(answers, "instrument.sample"):
-        path = None if own.sample is None else answers.folder / Path(own.sample).expanduser()
+        path = None if own.sample is None else named_path(answers.folder, own.sample)
         shown = None if path is None else read_sample(path, own.sample_units, own.sample_pitch_mm)
     draft = draft_cell(answers, folder, load_own(), shown)
     config = draft.judged()
@@ -450,10 +450,12 @@ def _require_new(folder: Path, names: Iterable[str], *, force: bool) -> None:
 def _write(folder: Path, files: Mapping[str, bytes]) -> None:
     try:
         make_folder(folder)
-        for name, content in files.items():
-            write_atomic(folder / name, content)
+        write_together(folder, files)
     except OSError as error:
-        raise ConfigError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+        raise ConfigError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; nothing was written. Make room, or name "
+            "another folder"
+        ) from error
 
 
 def _table(made: NewCell, cell: Path, *, dry_run: bool) -> Table:

@@ -45,7 +45,7 @@ from polishd.model.outline import Circle
 from polishd.model.process import ToolProcess
 from polishd.plugin_loader import OWN, Hooks, installed, load_cell
 from polishd.rendering.terminal import stderr
-from polishd.util.files import toml_text, write_atomic
+from polishd.util.files import toml_text, unwritable_message, write_atomic
 
 START_OVER_TOLERANCE = 9.0
 """RMS of the part at the start, over the tolerance: as in the demo."""
@@ -261,11 +261,14 @@ def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, flo
     require_apart(draft, folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     own = f"{cell.stem}-rehearsal.toml"
-    with tempfile.TemporaryDirectory(prefix=".polishd-", dir=folder.parent) as scratch:
-        beside = Path(scratch) / "rehearsal"  # it appears whole, or not at all
-        beside.mkdir()
-        _write(draft, beside, own)
-        beside.replace(folder)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".polishd-", dir=folder.parent) as scratch:
+            beside = Path(scratch) / "rehearsal"  # it appears whole, or not at all
+            beside.mkdir()
+            _write(draft, beside, own)
+            beside.replace(folder)
+    except OSError as error:
+        raise unwritable_message(folder, error) from error
     return Rehearsal(folder / SIM, folder / own, tuple(draft.notes))
 
 

@@ -37,7 +37,7 @@ from polishd.drivers.transport.claims import claim_address
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
 from polishd.drivers.transport.program_tracker import PollingConnection
 from polishd.util.address_claims import Claim
-from polishd.util.files import SecretPlace
+from polishd.util.files import SecretPlace, named_path
 
 # The polled link to the controller.
 
@@ -510,7 +510,7 @@ def tls_context(certificate: str, base_dir: Path) -> ssl.SSLContext:
     if not certificate:
         context.verify_mode = ssl.CERT_NONE
         return context
-    path = base_dir / Path(certificate).expanduser()
+    path = named_path(base_dir, certificate)
     try:
         context.load_verify_locations(path)
     except OSError as error:  # ssl.SSLError too

@@ -17,7 +17,7 @@ from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Vari
 from polishd.drivers.transport.address import tcp_address
 from polishd.drivers.transport.file_delivery import Delivery, Folder, Ftp, RemoteFolder, Sftp
 from polishd.util.extras import require_extra
-from polishd.util.files import SecretPlace, require_private
+from polishd.util.files import SecretPlace, named_path, require_private
 
 # The keys of ``[robot]`` with ``type = "plc_robot"``: docs/how-to/plc-robot.md.
 
@@ -110,11 +110,11 @@ def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | Non
     if not any(names.values()):
         return None
     for key, name in names.items():
-        if not (name and (base_dir / Path(name).expanduser()).is_file()):
+        if not (name and named_path(base_dir, name).is_file()):
             said = f"{name!r} is not a file" if name else "is missing"
             raise ConfigError(f"{key} {said}; encrypted opcua needs {', '.join(names)} (docs/how-to/plc-robot.md)")
-    require_private(base_dir / Path(options.private_key).expanduser(), f"private_key {options.private_key!r}: ")
-    return OpcUaCertificates(**{key: base_dir / Path(name).expanduser() for key, name in names.items()})
+    require_private(named_path(base_dir, options.private_key), f"private_key {options.private_key!r}: ")
+    return OpcUaCertificates(**{key: named_path(base_dir, name) for key, name in names.items()})
 
 
 def _delivery(options: PlcRobotOptions, context: DeviceContext, *, renames: bool) -> Delivery:
@@ -127,7 +127,7 @@ def _delivery(options: PlcRobotOptions, context: DeviceContext, *, renames: bool
             return Ftp(_place(options, context, 21), renames=renames)
         case "sftp":
             require_extra(f"delivery {options.delivery!r}", "sftp")
-            known_hosts = context.base_dir / Path(options.known_hosts).expanduser()
+            known_hosts = named_path(context.base_dir, options.known_hosts)
             if not known_hosts.is_file():
                 raise ConfigError(
                     f"known_hosts {options.known_hosts!r} is not a file. Get the host key with ssh-keyscan."

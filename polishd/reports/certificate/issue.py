@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
@@ -137,8 +138,9 @@ def _write(pdf_path: Path, pdf: bytes, json_path: Path, json_bytes: bytes) -> No
         write_atomic(pdf_path, pdf)
         write_atomic(json_path, json_bytes)
     except OSError as error:
-        pdf_path.unlink(missing_ok=True)
-        json_path.unlink(missing_ok=True)
+        for path in (pdf_path, json_path):
+            with contextlib.suppress(OSError):  # a read-only disk refuses that, too
+                path.unlink(missing_ok=True)
         raise ConfigError(
             f"{json_path.parent}: cannot be written: {error.strerror}. Name another folder with --out."
         ) from error

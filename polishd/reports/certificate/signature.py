@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
@@ -92,7 +93,8 @@ def make_key(path: Path) -> str:
         write_atomic(public_path, public)
         write_atomic(path, private, mode=0o600)
     except OSError as error:
-        public_path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a read-only disk refuses that, too
+            public_path.unlink(missing_ok=True)
         raise ConfigError(
             f"{path}: cannot be written: {error.strerror}. Name a file in a folder that exists."
         ) from error

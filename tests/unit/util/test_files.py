@@ -16,6 +16,7 @@ from polishd.model.errors import ConfigError
 from polishd.util.files import (
     environment_without_secrets,
     make_folder,
+    named_path,
     read_secret,
     require_private,
     require_writable,
@@ -23,6 +24,7 @@ from polishd.util.files import (
     toml_text,
     whole_file,
     write_atomic,
+    write_together,
 )
 from polishd.web.http.users import Role, UserFile
 
@@ -75,6 +77,34 @@ def test_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatc
         write_atomic(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_error_of_a_full_disk_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_handle: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")  # as of write(2): without a name
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left") as raised:
+        write_atomic(tmp_path / "cell.toml", b"x")
+    assert raised.value.filename == str(tmp_path / "cell.toml")
+
+
+def test_files_written_together_are_all_there_or_none(tmp_path: Path) -> None:
+    (tmp_path / "b").write_bytes(b"mine")
+    with pytest.raises(OSError, match="No such file"):
+        write_together(tmp_path, {"a": b"1", "b": b"2", "no/c": b"3"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"b": b"mine"}
+    write_together(tmp_path, {"a": b"1", "b": b"2"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"1", "b": b"2"}
+
+
+def test_a_home_folder_that_does_not_exist_is_a_missing_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/homes/me")
+    assert named_path(tmp_path, "~/a.toml") == Path("/homes/me/a.toml")
+    assert named_path(tmp_path, "a.toml") == tmp_path / "a.toml"
+    assert named_path(tmp_path, "~no-such-user/a.toml") == tmp_path / "~no-such-user/a.toml"
+    with pytest.raises(ConfigError, match="NUL"):
+        named_path(tmp_path, "a\0.toml")
 
 
 def test_content_is_synced_before_the_rename_and_the_folder_after(

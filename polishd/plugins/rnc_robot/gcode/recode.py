@@ -48,7 +48,9 @@ def recode(dialect: GcodeDialect, program: Program, time_s: FloatArray, encoding
     times = ProgramRow(program, time_s).times
     refuse_times(dialect, encoding, program.name, program.line, times)
     if encoding == "inverse" and dialect.feed.g93 == "refuse":
-        raise ProgramError(f"{program.name}: {dialect.title} knows no inverse time (G93). To do: ask for another.")
+        raise ProgramError(
+            f"{program.name}: {dialect.title} knows no inverse time (G93). To do: use --encoding feed or dwell."
+        )
     points = PointReader(dialect, program.name, program.encoding).read(piece)
     written = dialect.dwell.written.encode("ascii")
     texts = [*_TEXTS, b"\n" + written, b"\r\n" + written]

@@ -343,7 +343,13 @@ def recode_moves(profile: LanguageProfile, program: Program, time_s: FloatArray,
     found = scan(profile, program.text, program.name, program.beside, keep=True, keep_columns=True)
     moves, (columns, rules) = timed_moves(found), require_rules(found)
     if encoding == "inverse":
-        raise ProgramError(f"{program.name}: {profile.name} has no inverse time. To do: use --encoding time.")
+        rule = profile.move_time
+        known = ["time"] if rule is not None and rule.time else []
+        known += ["feed"] if rule is not None and (rule.feed or rule.feed_line) else []
+        known += ["wait"] if rule is not None and rule.wait else []
+        raise ProgramError(
+            f"{program.name}: {profile.name} has no inverse time. To do: use --encoding {' or '.join(known)}."
+        )
     times = moves.time_s.copy()
     if program.encoding == "dwell":
         given = _times(program, len(found.points), time_s)

@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from polishd.cli.app import app
+from polishd.commissioning.rehearsal import rehearsal
 from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text
 from polishd.commissioning.rehearsal.rehearsal import draft_rehearsal, write_rehearsal
 from polishd.config.cell import load_config
@@ -399,6 +400,19 @@ def test_what_cannot_be_simulated_leaves_no_folder_behind(tmp_path: Path) -> Non
     ):
         write_rehearsal(cell)
     assert [path.name for path in tmp_path.iterdir()] == ["cell.toml"]
+
+
+@pytest.mark.full
+def test_a_full_disk_is_said_with_the_folder_and_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    cell = tmp_path / "lens.toml"
+    cell.write_text(with_keys(CELL, LENS))
+    monkeypatch.setattr(rehearsal, "write_atomic", full)
+    with pytest.raises(ConfigError, match=r"out: cannot be written: No space left on device; make room"):
+        write_rehearsal(cell, tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["lens.toml"]
 
 
 @pytest.mark.full
