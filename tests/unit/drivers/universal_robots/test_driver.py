@@ -202,6 +202,7 @@ async def test_a_robot_that_moves_after_the_dashboards_answer_is_waited_for(
     assert rig.fake.stands
 
 
+@pytest.mark.full
 async def test_a_robot_that_goes_on_after_the_dashboards_answer_is_a_fault(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
