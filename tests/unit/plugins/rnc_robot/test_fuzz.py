@@ -122,7 +122,7 @@ QUANTUM_S = {
     "rapid": 0.001, "krl": 0.001, "fanuc-tp": 0.01, "urscript": 0.002, "inform": 0.01, "val3": 0.001,
     "heidenhain": 0.001, "melfa-basic": 0.01, "kawasaki-as": 0.01,
 }  # fmt: skip
-_NUMBER = rb"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
+_NUMBER = rb"[-+]?(?:[0-9][0-9.]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 TIME = {
     "rapid": re.compile(rb"(?i)(\bWaitTime\s*(?:\\InPos\s*,\s*)?)" + _NUMBER),
     "krl": re.compile(rb"(?i)(\bWAIT\s+SEC\s*)" + _NUMBER),
@@ -130,7 +130,7 @@ TIME = {
     "urscript": re.compile(rb"(\bsleep\s*\(\s*)" + _NUMBER),
     "inform": re.compile(rb"(\bTIMER\s*T=\s*)" + _NUMBER),
     "val3": re.compile(rb"(\bdelay\s*\(\s*)" + _NUMBER),
-    "heidenhain": re.compile(rb"(?i)(\bFUNCTION\s+DWELL\s+TIME\s*|\bCYCL\s+DEF\s+9\.1\D*)" + _NUMBER),
+    "heidenhain": re.compile(rb"(?i)(\bFUNCTION\s+DWELL\s+TIME\s*|\bCYCL\s+DEF\s+9\.1\D*?)" + _NUMBER),
     "melfa-basic": re.compile(rb"(?i)(\bDly\s*)" + _NUMBER),
     "kawasaki-as": re.compile(rb"(?i)(\bTWAIT\s*)" + _NUMBER),
 }
