@@ -66,12 +66,26 @@ def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
     return profile, "--dialect"
 
 
+@contextmanager
+def _naming_the_assumption(profile: AnyDialect, why: str) -> Iterator[None]:
+    """Add to a ProgramError that the dialect was only assumed: then a wrong dialect is the likely cause."""
+    try:
+        yield
+    except ProgramError as error:
+        if not why.endswith("assumed"):
+            raise
+        raise ProgramError(
+            f"{error} The file was read as {profile.name} ({why}); for another controller give --dialect."
+        ) from error
+
+
 def inspect_verb(file: Path, dialect: str | None, picture: Path | None, *, as_json: bool) -> None:
     """Show points, times, feeds, bounds and assumptions of a program."""
     profile, why = chosen(file, dialect)
     if picture is not None:
         require_new_target(picture, file)
-    answer = {**_inspected(file, profile), "dialect_by": why}
+    with _naming_the_assumption(profile, why):
+        answer = {**_inspected(file, profile), "dialect_by": why}
     if picture is not None:
         from polishd.rendering.plots import save_picture
 
@@ -138,7 +152,7 @@ def rewrite_verb(
 ) -> None:
     """Write the program with other times; write nothing where anything is wrong."""
     (profile, why), table = chosen(file, dialect), DwellTable(dwell)
-    with _bar("rewriting", file) as progress:
+    with _naming_the_assumption(profile, why), _bar("rewriting", file) as progress:
         written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
     answer = {**asdict(written), "out": [str(path) for path in written.out], "dialect": profile.name, "dialect_by": why}
     rows = [
@@ -169,7 +183,7 @@ def verify_verb(old: Path, new: Path, dialect: str | None, *, with_rs274: bool, 
     """Prove that the motion is identical, and list what changed. ProgramError where it is not proved."""
     profile, why = chosen(old, dialect)
     chosen(new, dialect or profile.name)
-    with stderr.status(f"comparing {old.name} and {new.name}"):
+    with _naming_the_assumption(profile, why), stderr.status(f"comparing {old.name} and {new.name}"):
         found = verify(old, new, profile, with_rs274=with_rs274)
     by = {"dialect": profile.name, "dialect_by": why}
     title = f"{old.name}, {new.name}: {profile.name} ({why})"

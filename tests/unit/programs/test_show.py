@@ -74,6 +74,21 @@ def test_inspect_for_people(polishd: Polishd, program: Path) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("verb", ["inspect", "rewrite", "verify"])
+def test_a_refusal_names_the_dialect_that_was_only_assumed(polishd: Polishd, tmp_path: Path, verb: str) -> None:
+    program = tmp_path / "made.nc"
+    program.write_bytes(b"G710 G90 G94\nG0 X0 Y0\nG1 X1 F60\nG4 F1\nM30\n")  # of a Sinumerik, without its mark
+    (tmp_path / "d.csv").write_text("1\n")
+    rest = {"inspect": [], "rewrite": ["--dwell", tmp_path / "d.csv", "--out", tmp_path / "n.nc"], "verify": [program]}
+    said = polishd("program", verb, program, *rest[verb])
+    assert said.code == 9
+    assert "was read as rs274" in said.err
+    assert "give --dialect" in said.err
+    said = polishd("program", verb, program, *rest[verb], "--dialect", "rs274")
+    assert said.code == 9
+    assert "was read as" not in said.err
+
+
 def test_inspect_draws(polishd: Polishd, tmp_path: Path) -> None:
     path = tmp_path / "$a_{1}$.rnc"
     path.write_bytes(DWELL)
