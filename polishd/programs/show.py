@@ -68,11 +68,11 @@ def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
 
 @contextmanager
 def _naming_the_assumption(profile: AnyDialect, why: str) -> Iterator[None]:
-    """Add to a ProgramError that the dialect was only assumed: then a wrong dialect is the likely cause."""
+    """Add to the refusal of a line that the dialect was only assumed: then a wrong dialect is the likely cause."""
     try:
         yield
     except ProgramError as error:
-        if not why.endswith("assumed"):
+        if not why.endswith("assumed") or ", line " not in str(error):
             raise
         raise ProgramError(
             f"{error} The file was read as {profile.name} ({why}); for another controller give --dialect."

@@ -33,12 +33,18 @@ def refuse(name: str, number: int, line: bytes, reason: str, advice: str) -> Pro
     return ProgramError(f'{name}, line {number}: {reason}: "{shown}". To do: {advice}.')
 
 
+def refuse_byte_order_mark(text: bytes, name: str) -> None:
+    """Refuse what an editor saved as UTF-8 with a mark, or as UTF-16: a controller takes neither for a program."""
+    if text.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
+        raise ProgramError(f"{name}: it starts with a byte order mark. To do: save it as plain ASCII text.")
+
+
 def refuse_binary(text: bytes, name: str, lines: int, rules: TextRules) -> None:
     """Refuse what is no text in LF or CRLF lines, and characters that a controller acts on wherever they stand."""
     if not lines and not text.strip():
         raise ProgramError(f"{name}: the file is empty. To do: fetch it again.")
-    if not lines and text.startswith((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff")):
-        raise ProgramError(f"{name}: it starts with a byte order mark. To do: save it as plain ASCII text.")
+    if not lines:
+        refuse_byte_order_mark(text, name)
     control = text.translate(None, _ALLOWED)
     if control:
         number = lines + text.count(b"\n", 0, text.index(control[:1])) + 1

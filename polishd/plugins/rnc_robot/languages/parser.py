@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from polishd.plugins.rnc_robot.gcode.refusals import refuse_byte_order_mark
 from polishd.plugins.rnc_robot.languages.columns import NONE, StatedBy
 from polishd.plugins.rnc_robot.languages.declarations import (
     take_context,
@@ -48,6 +49,7 @@ def scan(
         keep: keep all its statements, too.
         keep_columns: keep the columns of all its motions, although dwells carry the time.
     """
+    refuse_byte_order_mark(text, name)
     found = Scan(profile, ProgramSource(text, name, beside), [] if keep else None, keep_columns=keep_columns)
     if profile.move_time is None:
         found.columns = None

@@ -59,6 +59,13 @@ def test_every_line_of_a_point_holds_its_number(name: str) -> None:
         assert digits in program.text.split(b"\n")[line - 1]
 
 
+@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", b"\xff\xfe"])
+def test_a_byte_order_mark_is_refused_as_one(name: str, mark: bytes) -> None:
+    with pytest.raises(ProgramError, match=r"part\.txt: it starts with a byte order mark\. To do: save it as plain"):
+        read(profile(name), mark + PROGRAMS[name].text, "part.txt")
+
+
 @pytest.mark.parametrize("name", ["rapid", "krl"])
 def test_case_does_not_matter(name: str) -> None:
     said = PROGRAMS[name]
