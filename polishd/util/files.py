@@ -63,11 +63,12 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
             file.flush()  # a full disk shows here, before the first file gets its name
 
 
-def named_path(base: Path, text: str) -> Path:
+def named_path(base: Path, named: str | Path) -> Path:
     """Return a path that a file or an operator names, from ``base``, with ``~`` as a home folder.
 
     ``~name`` of no user stays as it is: no such file is found then. ConfigError for a NUL character.
     """
+    text = str(named)
     if "\0" in text:
         raise ConfigError(f"{base}: the path {text!r} contains a NUL character, as no file's name does; correct it")
     return base / os.path.expanduser(text)  # noqa: PTH111 - Path.expanduser raises RuntimeError where no such user is

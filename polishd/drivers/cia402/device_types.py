@@ -25,7 +25,10 @@ from polishd.drivers.cia402.drive import CanNodeAddress
 from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, can_address
+from polishd.util.files import named_path
 
+LEAST_UNIT = 1e-9
+"""Smallest size of a drive's unit: below it the numbers sent to the drive exceed any register."""
 SIMULATED_EDS = Path(__file__).with_name("simulated_drive.eds")
 """EDS file of the simulated drive (polishd/sim_backends/cia402)."""
 SIMULATED_SPINDLE: Mapping[str, Any] = {"node": 5, "rpm_per_unit": 0.1}
@@ -146,16 +149,16 @@ def _of(record: type[T], options: DriveOptions) -> T:
 
 
 def _build_spindle(options: Cia402SpindleOptions, context: DeviceContext) -> Spindle:
-    if not options.rpm_per_unit:
-        raise ConfigError("rpm_per_unit is 0. Set the drive's unit of velocity.")
-    dictionary = read_dictionary(context.base_dir / options.eds, options.node)
+    if abs(options.rpm_per_unit) < LEAST_UNIT:
+        raise ConfigError(f"rpm_per_unit is {options.rpm_per_unit:g}. Set the drive's unit of velocity.")
+    dictionary = read_dictionary(named_path(context.base_dir, options.eds), options.node)
     return Cia402Spindle(_place(options, context), dictionary, _of(SpindleScale, options), _of(SpindleTimes, options))
 
 
 def _build_actuator(options: Cia402ActuatorOptions, context: DeviceContext) -> ForceActuator:
-    if not (options.n_per_permille and options.mm_per_increment):
-        raise ConfigError("n_per_permille or mm_per_increment is 0. Set the drive's units.")
-    dictionary = read_dictionary(context.base_dir / options.eds, options.node)
+    if min(abs(options.n_per_permille), abs(options.mm_per_increment)) < LEAST_UNIT:
+        raise ConfigError("n_per_permille or mm_per_increment is 0, or nearly. Set the drive's units.")
+    dictionary = read_dictionary(named_path(context.base_dir, options.eds), options.node)
     place, scale = _place(options, context), _of(ActuatorScale, options)
     return Cia402Actuator(place, dictionary, scale, _of(ActuatorTimes, options))
 

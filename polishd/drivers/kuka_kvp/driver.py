@@ -46,6 +46,7 @@ from polishd.drivers.transport.background import PeriodicTimer
 from polishd.drivers.transport.file_delivery import Delivery, Folder
 from polishd.drivers.transport.program_robot import IsWanted, ProgramRobot
 from polishd.drivers.transport.program_tracker import STANDS, PollingConnection, comes_to_rest
+from polishd.util.files import named_path
 
 # The polled connection: samples in, heartbeats out.
 
@@ -375,7 +376,7 @@ def _build(options: KukaKvpOptions, context: DeviceContext) -> KukaRobot:
         block_end_s=CYCLE_S / 12.0**0.5,
         report_s=STANDS * poll_s + CYCLE_S,
     )
-    folder = Folder((context.base_dir / path).absolute())
+    folder = Folder(named_path(context.base_dir, path).absolute())
     return KukaRobot(address, folder, options.controller_dir, times, poll_s=poll_s, load_s=options.load_s)
 
 

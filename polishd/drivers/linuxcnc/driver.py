@@ -36,7 +36,7 @@ from polishd.drivers.transport.program_tracker import (
     comes_to_rest,
     time_shares,
 )
-from polishd.util.files import write_atomic
+from polishd.util.files import named_path, write_atomic
 
 # The polled connection: it reports LinuxCNC's state and detects standstill.
 
@@ -430,7 +430,7 @@ def _build(options: LinuxCncOptions, context: DeviceContext) -> LinuxCnc:
     watchdog_s = options.watchdog_s or math.inf
     return LinuxCnc(
         address,
-        (context.base_dir / options.program_dir).absolute(),
+        named_path(context.base_dir, options.program_dir).absolute(),
         replace(TIMES, silence_s=options.silence_s, watchdog_s=watchdog_s, stop_s=options.stop_s),
         controller_dir=options.controller_dir,
         passwords=(options.password, options.enable_password),

@@ -121,7 +121,7 @@ def _delivery(options: PlcRobotOptions, context: DeviceContext, *, renames: bool
     kind, _, rest = options.delivery.partition(":")
     match kind:
         case "folder" if rest:
-            return Folder((context.base_dir / rest).absolute())
+            return Folder(named_path(context.base_dir, rest).absolute())
         case "ftp":
             require_extra(f"delivery {options.delivery!r}", "ftp")
             return Ftp(_place(options, context, 21), renames=renames)

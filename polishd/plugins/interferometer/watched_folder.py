@@ -38,7 +38,7 @@ from polishd.plugins.interferometer import map_files
 from polishd.plugins.interferometer.map_files import DeliveredMap, FileIdentity, MapRequest, TakenMaps, heights_digest
 from polishd.process.metrology.instrument import require_profile
 from polishd.util.address_claims import Claim, claim, folder_key
-from polishd.util.files import write_atomic
+from polishd.util.files import named_path, write_atomic
 
 # Whether a map that is whole is the one that is waited for: of this part, new, in order, and plausible.
 
@@ -270,7 +270,7 @@ class WatchedFolder:
         self._rules = MapAcceptanceRules(
             context.part_id, options.accept_without_part_id, options.clock_tolerance_s, instrument=context.instrument
         )
-        self._folder = context.base_dir / options.folder
+        self._folder = named_path(context.base_dir, options.folder)
         self._claimed = self._folder / options.claimed_dir
         self._refused = self._folder / options.refused_dir
         self._request = self._folder / options.request_file if options.request_file else None

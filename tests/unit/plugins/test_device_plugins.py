@@ -198,6 +198,7 @@ def test_times_are_the_profiles_where_the_cell_says_nothing(types: dict[str, Dev
         ("cia402_spindle", {"address": "slcan:x?bitrate=50000"}, "at least 125000 bit/s"),
         ("cia402_spindle", {"controller_node": 5}, "controller_node 5 is the drive's node number"),
         ("cia402_spindle", {"rpm_per_unit": 0.0}, "rpm_per_unit is 0"),
+        ("cia402_spindle", {"rpm_per_unit": 1e-320}, "rpm_per_unit is 9.99989e-321"),
         ("cia402_spindle", {"eds": "none.eds"}, "none.eds: cannot be read"),
         ("cia402_spindle", {"acceleration_rpm_s": 0.01, "rpm_per_unit": 1.0}, None),
         ("cia402_actuator", {"mm_per_increment": 0.0}, "mm_per_increment is 0"),

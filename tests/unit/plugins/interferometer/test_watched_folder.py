@@ -116,6 +116,13 @@ def test_wrong_options(make: Callable[..., WatchedFolder], options: dict[str, An
         make(**options)
 
 
+async def test_the_folder_may_lie_in_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    watched = WatchedFolder(FolderOptions(folder="~/maps"), DeviceContext(tmp_path, tmp_path / "state", PART, ()))
+    with pytest.raises((LinkError, SurfaceError), match=f"{tmp_path}/home/maps"):
+        await watched.open()
+
+
 def test_whole_numbers_are_seconds_too(make: Callable[..., WatchedFolder]) -> None:
     assert make(timeout_s=60)
 
