@@ -430,34 +430,24 @@ def _judged(
     also: Collection[str] = (),
 ) -> Any:
     """Return a plugin's options; raise ConfigError with a line for each fault. Keys in ``also`` are allowed too."""
-    found = _unknown_options(config, section, options, given, also)
+    known = {field.alias or name for name, field in options.model_fields.items()} | set(also)
+    # found here, because a plugin's model may ignore them
+    unknown = [] if options.model_config.get("extra") == "allow" else [key for key in given if key not in known]
+    found = [config.source.error((*section, key), _unknown_message((*section, key), known)) for key in unknown]
     try:
-        value = options.model_validate(given)
+        value = options.model_validate({key: one for key, one in given.items() if key not in unknown})
     except ValidationError as error:
-        found += [line for line in validation_problems(error, options, config.source, section) if line not in found]
+        found += validation_problems(error, options, config.source, section)
     else:
         if not found:
             return value
     raise ConfigError("\n".join(found))
 
 
-def _unknown_options(
-    config: CellConfig, section: Location, options: type[BaseModel], given: Mapping[str, Any], also: Collection[str]
-) -> list[str]:
-    """Report unknown keys even if the plugin's model ignores them."""
-    if options.model_config.get("extra") == "allow":
-        return []
-    known = {field.alias or name for name, field in options.model_fields.items()} | set(also)
-    return [
-        config.source.error(
-            (*section, key),
-            f"was renamed: write {new}"
-            if (new := renamed_key(".".join(map(str, (*section, key)))))
-            else f"unknown key{did_you_mean(key, known)} Known here: {join_words(known)}. Correct or remove it",
-        )
-        for key in given
-        if key not in known
-    ]
+def _unknown_message(location: Location, known: Collection[str]) -> str:
+    if new := renamed_key(".".join(map(str, location))):
+        return f"was renamed: write {new}"
+    return f"unknown key{did_you_mean(str(location[-1]), known)} Known here: {join_words(known)}. Correct or remove it"
 
 
 def _included(raw: Mapping[str, Any], source: TomlSource) -> list[str]:

@@ -375,6 +375,7 @@ def test_wrong_device_sections(tmp_path: Path, example: str, lines: str, offset:
     with pytest.raises(ConfigError) as caught:
         device_options(config, "actuator", TYPES)
     assert str(caught.value).startswith(f"{config.path}:{header + offset}: actuator.")
+    assert str(caught.value).count(problem.partition(":")[0]) == 1  # one message a fault
     assert problem in str(caught.value)
 
 
