@@ -178,7 +178,8 @@ class CellConfig(ServedDocument):
 
     def measured_tif(self) -> MeasuredTif | None:
         """Return the cell's measured TIF, or None if it names none. Raise ConfigError if it cannot be read."""
-        return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
+        name = self.process.tif
+        return None if name is None else read_tif(self.file("process.tif", self.resolve(name)))
 
     def envelope(self) -> Envelope:
         """Limits of machine and process."""

@@ -71,7 +71,8 @@ class SimConfig(TomlDocument):
 
     def measured_tif(self) -> MeasuredTif | None:
         """What the tool removes, where that was measured; ConfigError where its file is none."""
-        return None if self.process.tif is None else read_tif(self.resolve(self.process.tif))
+        name = self.process.tif
+        return None if name is None else read_tif(self.file("process.tif", self.resolve(name)))
 
     def require_simulated(self, devices: Collection[str] | None = None) -> None:
         """Raise ConfigError if one of these devices cannot be simulated as the cell has it; None: any device."""

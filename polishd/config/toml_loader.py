@@ -285,6 +285,12 @@ class TomlDocument(ConfigSection):
         """Return a path relative to the file's folder."""
         return Path(os.path.relpath(path.absolute(), self.base_dir)).as_posix()
 
+    def file(self, key: str, path: Path) -> Path:
+        """Return a path that this dotted key names; ConfigError at the key where there is no such file."""
+        if not path.is_file():  # a pipe is none, either: a reader waits for its writer
+            raise self.error(key, f"{path}: no such file; correct the path")
+        return path
+
     def error(self, key: str, problem: str) -> ConfigError:
         """Return a ConfigError about a dotted key, with its location, for checks that need more than this file."""
         return ConfigError(self._source.error(tuple(key.split(".")), problem))

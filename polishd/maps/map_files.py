@@ -236,7 +236,9 @@ class MapSource:
         config, readers = _of_cell(cell)
         asked = tuple(readers.values()) if as_format is None else _of_format(readers, as_format)
         instrument = system_map = None
-        path = config.profile_path if profile is None and config is not None else profile
+        path = profile
+        if profile is None and config is not None and config.profile_path is not None:
+            path = config.file("instrument.profile", config.profile_path)
         if path is not None:
             from polishd.config.instrument_profile import load_profile
             from polishd.pipeline.build_recipe import system_of_profile

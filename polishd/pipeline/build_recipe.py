@@ -25,7 +25,8 @@ OWN = "rate"
 
 def instrument_of(config: CellConfig) -> Instrument | None:
     """The instrument's profile, commissioned or not; None where the cell names none. ConfigError names file and key."""
-    return None if config.profile_path is None else load_profile(config.profile_path).instrument
+    path = config.profile_path
+    return None if path is None else load_profile(config.file("instrument.profile", path)).instrument
 
 
 def nominal_of(config: CellConfig, hooks: Hooks) -> SurfaceMap | None:

@@ -150,7 +150,8 @@ def read_programs(config: CellConfig, recipe: Recipe) -> tuple[Program, ...]:
     Raises ProgramError, or ConfigError where two have the same content (their passes would not differ), or are for
     different tools or frames of the controller (a cell states one pose of its programs on the part).
     """
-    programs = tuple(steps.read_program(recipe, path) for path in config.program_paths)
+    paths = [config.file("program.path", path) for path in config.program_paths]
+    programs = tuple(steps.read_program(recipe, path) for path in paths)
     first, *later = (_names_of_controller(recipe, program) for program in programs) if len(programs) > 1 else (b"",)
     for number, program in enumerate(programs):
         same = next((other for other in programs[:number] if other.sha256 == program.sha256), None)

@@ -139,7 +139,7 @@ def test_tables_pictures_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     ("loops", "more", "said"),
     [
         ('[controllers.odd]\n"process.corection" = "none"\n', "raster = true", "process.corection"),
-        (LOOPS, "", "program.rnc: cannot be read"),
+        (LOOPS, "", "program.rnc: no such file"),
         (LOOPS, 'raster = "yes"', "study.toml:8: raster"),
         ("", "raster = true", "controllers"),
     ],
