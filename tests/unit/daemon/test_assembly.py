@@ -21,7 +21,7 @@ from polishd.daemon.runtime.process import host
 from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.interfaces import Device, ForceActuator, Robot, Spindle
-from polishd.model.errors import ConfigError, LinkError, ProgramError
+from polishd.model.errors import ConfigError, LinkError
 from polishd.model.estimates import Estimates, MachineEstimates
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.build_recipe import make_recipe, require_commissioned
@@ -260,7 +260,7 @@ def test_the_default_lets_a_large_parts_pass_end() -> None:
 
 
 def test_check_needs_the_program(configured: Any, hooks: Hooks) -> None:
-    with pytest.raises(ProgramError, match=r"program\.rnc"):
+    with pytest.raises(ConfigError, match=r"cell\.toml:\d+: program\.path: .*program\.rnc: no such file"):
         checks.check_cell(configured(), hooks)
 
 
