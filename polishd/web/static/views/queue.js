@@ -7,7 +7,7 @@ export { styles };
 
 export function mount(root, ctx) {
   const t = ctx.texts.queue;
-  let queue = null, failed = false, chosen = ctx.args().get("job") ?? "", focus = null, ended = innerWidth > 900, lastLook = "";
+  let queue = null, failed = false, chosen = ctx.args().get("job") ?? "", focus = null, ended = innerWidth > 900, lastLook = "", dragging = false;
   const list = box("div", "queue-list"), details = box("aside", "queue-details card");
   const announce = made("p", "", "unseen");
   announce.setAttribute("aria-live", "polite");
@@ -65,6 +65,7 @@ export function mount(root, ctx) {
 
   // the list
   function draw() {
+    if (dragging) return; // never under a finger: a drag ends at the line it began with, and draws then
     if (!queue) {
       list.replaceChildren(failed ? problem(t.notLoaded) : made("p", "", "empty"));
       details.hidden = true;
@@ -228,11 +229,10 @@ export function mount(root, ctx) {
     grip.addEventListener("pointerup", () => end(moved), { once: true });
     grip.addEventListener("pointercancel", () => end(false), { once: true });
   }
-  let dragging = false;
 
   return {
     refresh: read,
-    update() { // twice a second: only what follows from the state is drawn again, and never under a finger
+    update() { // twice a second: only what follows from the state is drawn again
       const look = JSON.stringify([ctx.link(), live()?.state, live()?.approval, live()?.reason, ctx.mayOperate(), Math.floor(Date.now() / 30_000)]);
       if (look !== lastLook && queue && !dragging) { lastLook = look; draw(); }
     },
