@@ -27,7 +27,7 @@ OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
 BY_NAME = (
     "choice", "dwell_large", "dwell_million", "effect", "long_programs", "moving", "moving_matrix", "published", "size",
-    "sweeps",
+    "sweeps", "watchers",
 )  # fmt: skip
 """Benchmarks that run only by name: they take the longest."""
 Keep = Callable[[Row], None]

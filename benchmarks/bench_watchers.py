@@ -149,7 +149,7 @@ def small(out: Path) -> DemoFiles:
     files = write_demo(out, None, 0.1, 1, None)
     part = {"part": {"aperture_mm": 60.0}}
     files.cell.write_text(with_values(files.cell.read_text(), {**part, "web": {"port": 0}}))
-    files.sim.write_text(with_values(files.sim.read_text(), {"plant": {"aperture_mm": 60.0, "pv_nm": 400.0}}))
+    files.sim.write_text(with_values(files.sim.read_text(), {"plant": {"pv_nm": 400.0}}))
     commission_demo(files)
     config = load_config(files.cell)
     config.program_path.write_bytes(demo_program(config))
