@@ -98,7 +98,7 @@ def test_jobs_are_moved_by_keys_and_by_pointer_and_removed_with_a_reason(tmp_pat
         for kind, y in (("mousePressed", first), ("mouseMoved", second), ("mouseMoved", second + 4)):
             page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
         before = page.run(READINGS)
-        page.run("location.hash = 'queue?job=lens-2003'")  # the queue is read anew, as after an order of somebody else
+        page.run("location.hash = 'queue?job=lens-2003'")  # the queue is read anew, as after an order from another page
         page.until(f"{READINGS} > {before}")
         page.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=second + 4, button="left", clickCount=1)
         page.until(f"{ORDER} === 'mirror-7 lens-2003 mirror-8 lens-2002'")
