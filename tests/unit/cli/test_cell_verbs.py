@@ -84,7 +84,7 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
         ({"robot": {"watchdog_s": 2.0}}, 3, "robot.watchdog_s: watchdog of the robot: 2 s; at least 6.7 s"),
         ({"actuator": {"retract_s": 9.0}}, 3, "robot.watchdog_s: watchdog of the robot: 8 s; at least 10.7 s"),
         ({"job": {"stream_ahead_s": 1.0}}, 3, "job.stream_ahead_s: motion held by the robot: 1 s; at least 6.2 s"),
-        ({"program": {"path": "gone.rnc"}}, 9, "gone.rnc"),
+        ({"program": {"path": "gone.rnc"}}, 3, "gone.rnc"),
         ({"robot": {"type": "robot"}}, 3, "robot_link"),
         ({"plugins": {"load": ["rnc_robot", "rnc_rboot"]}}, 3, "rnc_rboot"),
         ({"part": {"aperture_mm": -1.0}}, 3, "aperture_mm"),
