@@ -79,8 +79,8 @@ def staubli(out: Path) -> DemoFiles:
     return plc_robot_rig.write_language_cell(out, "val3", "feed", tolerance_nm=40.0, max_cycles=3)
 
 
-SPEEDS: dict[Maker, tuple[str, ...]] = {lens: ("--speed", "10"), yaskawa: ("--speed", "2")}
-"""Where not the usual one: two lines a point are late twice on a busy machine."""
+SPEEDS: dict[Maker, tuple[str, ...]] = {lens: ("--speed", "10")}
+"""Where not the usual one."""
 
 
 @contextlib.contextmanager
@@ -99,9 +99,7 @@ def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
             simulator.communicate(timeout=SOON_S)  # until all that it started is gone
 
 
-@pytest.mark.parametrize(
-    "make", [lens, loads_files, arm, abb, kuka, pytest.param(yaskawa, marks=pytest.mark.slow), staubli]
-)
+@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka, yaskawa, staubli])
 def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(tmp_path: Path, make: Maker) -> None:
     real = make(tmp_path / "cell")
     before = {path: path.read_bytes() for path in real.out.rglob("*") if path.is_file()}

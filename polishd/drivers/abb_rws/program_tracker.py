@@ -6,11 +6,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from polishd.api import Plan, ProtocolError
 from polishd.drivers.abb_rws.rapid_module import AT_END, RapidModule
-from polishd.drivers.transport.program_tracker import ProgramTracker
+from polishd.drivers.transport.program_tracker import ProgramTracker, planned_block_s
 
 START_S = 5.0
 """Time that may pass with standstill after the command to run, on our clock."""
@@ -84,9 +82,7 @@ class AbbProgramTracker(ProgramTracker):
         """Limit that was written to the background task."""
         self.stays = False
         """Whether standstill was commanded, and is expected."""
-        self._expected_s = np.zeros(blocks)
-        timed = plan.program.block < blocks
-        self._expected_s[plan.program.block[timed]] = plan.expected_time_s[timed]
+        self._planned_s = planned_block_s(plan, blocks)
         self._now_s = now_s
         self._ordered_s = 0.0
         self._last: RwsReport | None = None
@@ -162,7 +158,7 @@ class AbbProgramTracker(ProgramTracker):
     def _advance(self, to: int) -> None:
         first = len(self)
         if to > first:
-            self.stretch(self._expected_s[first:to], spread=SPREAD)
+            self.stretch(self._planned_s[first:to], spread=SPREAD)
 
     def _stand(self, module: RapidModule, report: RwsReport) -> None:
         """Handle standstill: at a stop of the module, at its end, or elsewhere."""

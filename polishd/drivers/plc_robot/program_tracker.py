@@ -13,8 +13,6 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from polishd.api import DeviceRefused, Plan, ProtocolError
 from polishd.config.controller_profile import (
     ClockVariable,
@@ -26,7 +24,7 @@ from polishd.config.controller_profile import (
     VariablesTable,
 )
 from polishd.drivers.plc_robot.variables import VariableSnapshot
-from polishd.drivers.transport.program_tracker import START_S, ProgramFile, ProgramTracker
+from polishd.drivers.transport.program_tracker import START_S, ProgramFile, ProgramTracker, planned_block_s
 
 # The program file: blocks, pauses at the stops, and dwells that check the reported line.
 
@@ -319,9 +317,7 @@ class PlcProgramTracker(ProgramTracker):
         """Time on the controller's clock that may pass with standstill after the command to run."""
         self.stays = False
         """Whether standstill was commanded, and is expected."""
-        self._expected_s = np.zeros(blocks)
-        timed = plan.program.block < blocks
-        self._expected_s[plan.program.block[timed]] = plan.expected_time_s[timed]
+        self._planned_s = planned_block_s(plan, blocks)
         self._sure_s = 0.0
         """Last time at which the present block was certainly under way."""
         self._leeway_s = 0.0
@@ -442,13 +438,13 @@ class PlcProgramTracker(ProgramTracker):
         first = len(self)
         if began_s is not None and not self.began_s <= began_s <= self.clock_s:
             began_s = None
-        lasted_s = float(self._expected_s[first:to].sum())
+        lasted_s = float(self._planned_s[first:to].sum())
         if to > first or (began_s is not None and to == first):
             self._settle_begin(began_s if lasted_s or to == first else None, lasted_s)
         if to > first:
             low_s = max(self._sure_s, self.began_s)
             high_s = self.clock_s if began_s is None else max(began_s, low_s)
-            shares_s, reaches = self._expected_s[first:to], began_s is not None
+            shares_s, reaches = self._planned_s[first:to], began_s is not None
             self.stretch(shares_s, low_s=low_s, high_s=high_s, reaches=reaches, spread=SPREAD)
         self._sure_s = self.clock_s
 

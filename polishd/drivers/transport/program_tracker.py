@@ -80,6 +80,25 @@ def _ends(block: bytes, seq: int) -> bool:
     return bool(_END.search(code)) or (code == b"%" and seq > 0)
 
 
+def planned_block_s(plan: Plan, blocks: int) -> FloatArray:
+    """Planned time of each block, (blocks,) s; 0 without one.
+
+    Where dwells carry the time, that of the move to the point belongs to the block before the dwell: in reports that
+    come seldom, a dwell and the next move end together, and share the time between two reports.
+    """
+    program, planned = plan.program, np.zeros(blocks)
+    is_inside = program.block < blocks
+    timed, expected_s = program.block[is_inside], plan.expected_time_s[is_inside]
+    planned[timed] = expected_s
+    if program.encoding == "dwell":
+        before = timed - 1
+        moves = (before >= 0) & ~np.isin(before, timed)
+        move_s = np.maximum(expected_s - program.time_s[is_inside], 0.0)[moves]
+        planned[before[moves]] = move_s
+        planned[timed[moves]] -= move_s
+    return planned
+
+
 class LoadedProgram(Protocol):
     """A program that the controller has loaded, with its stops."""
 

@@ -18,8 +18,6 @@ from tests.system.sim_rig import ROOT
 from tests.system.test_rehearsal import rehearsed
 
 EXAMPLES = ROOT / "examples"
-SPEEDS = {"yaskawa/cell.toml": ("--speed", "2")}
-"""Where not the usual one: two lines a point are late twice on a busy machine."""
 ACCEPTED = "in_tolerance"
 
 
@@ -67,7 +65,7 @@ def measure(name: str, folder: Path) -> Finding:
     config = load_config(cell)
     if not config.program_path.exists():
         _polishd(cell.parent, "program", "make", "raster", "--cell", cell.name, "--out", config.program.path)
-    with rehearsed(cell, "--seed", "1", *SPEEDS.get(name, ())) as files, Daemon(files, "--no-hold") as daemon:
+    with rehearsed(cell, "--seed", "1") as files, Daemon(files, "--no-hold") as daemon:
         daemon.process.wait()
         return finding(name, files, config)
 

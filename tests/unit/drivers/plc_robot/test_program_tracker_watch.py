@@ -76,6 +76,19 @@ def test_the_controllers_own_word_on_a_blocks_begin_is_taken() -> None:
     assert spans == pytest.approx([0.081, 0.146], abs=1e-3)
 
 
+def test_a_dwell_whose_end_no_report_shows_is_not_as_long_as_the_next_move_too() -> None:
+    """Moves of 0.1 s and dwells of 0.3 s: the next report after the dwell comes when the next one has begun."""
+    lines = [b"G1 X%d" % at for at in range(6)]
+    plan = plan_of(lines)
+    program = replace(plan.program, encoding="dwell", block=np.array([1, 3, 5]), time_s=np.full(3, 0.3))
+    watch = PlcProgramTracker(replace(plan, program=program, expected_time_s=np.full(3, 0.4)), 6)
+    watch.file = PlcProgramFile(lines, (), TABLE, line=LINE)
+    watch.go(0.0)
+    for at_s, line, began_s in ((0.05, 1, 0.0), (0.15, 2, 0.1), (0.55, 4, 0.5), (0.95, 6, 0.9)):
+        watch.update(report(at_s, line, began_s=began_s))
+    assert [watch[k].end_s for k in (1, 3)] == pytest.approx([0.4, 0.8], abs=2e-3)
+
+
 def test_when_it_came_to_run_is_taken_from_where_it_is_told() -> None:
     watch = watch_of(4, expected=[0.1] * 4)
     watch.update(report(0.1, 77, "ready"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
 from operator import ne
 from types import SimpleNamespace
 
@@ -18,11 +19,13 @@ from polishd.drivers.transport.program_tracker import (
     STANDS,
     PollingConnection,
     comes_to_rest,
+    planned_block_s,
     stretch_ends,
     time_shares,
 )
 from polishd.model.errors import DeviceFault, LinkError
 from tests.patience import SOON_S
+from tests.programs import plan_of
 
 
 @given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=20), st.floats(0.0, 2.0), st.floats(1e-3, 3.0), st.booleans())
@@ -50,6 +53,23 @@ def test_blocks_that_ask_share_their_time_and_the_rest_share_what_is_left(
 ) -> None:
     found = time_shares(1.0, np.array(asked), asked_total_s, np.array(rest))
     assert found == pytest.approx(shares)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "planned"), [("dwell", [0.0, 0.08, 0.3, 0.1, 0.5, 0.7]), ("feed", [0.0, 0.0, 0.38, 0.0, 0.6, 0.7])]
+)
+def test_the_time_of_a_move_before_a_dwell_belongs_to_the_move(encoding: str, planned: list[float]) -> None:
+    """Blocks 2, 4, 5 and 9 are timed; before 5 there is no move, and 9 is not among the first six."""
+    plan = plan_of([b"G1 X%d" % at for at in range(10)])
+    program = replace(
+        plan.program,
+        encoding=encoding,
+        block=np.array([2, 4, 5, 9]),
+        line=np.array([3, 5, 6, 10]),
+        time_s=np.array([0.3, 0.5, 0.6, 0.2]),
+    )
+    plan = replace(plan, program=program, expected_time_s=np.array([0.38, 0.6, 0.7, 0.3]))
+    assert planned_block_s(plan, 6) == pytest.approx(planned)
 
 
 class Counting(PollingConnection[list[str], float]):
