@@ -21,7 +21,12 @@ from polishd.plugins.rnc_robot.languages.statements import MatchedStatement
 from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, require_rules, timed_moves
 
 WITHIN = 0.01
-"""Largest relative error of a written time."""
+"""Share by which a speed may be beyond the language's limits."""
+COARSE = 0.1
+"""Largest relative error of the time that a written speed states: in steps of 0.1 mm/s speeds from 1 mm/s.
+
+The plan counts with the times as written, and the residue is carried forward, so that neighbours make up for it.
+"""
 
 
 def feed_unit(profile: LanguageProfile, factor: float) -> str:
@@ -110,7 +115,7 @@ def speed_number(rules: MoveTime, length_mm: float, wanted_s: float, factor: flo
 
 def carried_s(new_s: float, residue_s: float) -> float:
     """The time to write for a wanted one and what rounding left before, of which a part is carried on at most."""
-    return new_s + float(np.clip(residue_s, -WITHIN / 2 * new_s, WITHIN / 2 * new_s))
+    return new_s + float(np.clip(residue_s, -COARSE / 2 * new_s, COARSE / 2 * new_s))
 
 
 def misfit(rules: MoveTime, length_mm: float, new_s: float, number: WrittenNumber, factor: float | None) -> str:
@@ -120,7 +125,7 @@ def misfit(rules: MoveTime, length_mm: float, new_s: float, number: WrittenNumbe
         return f"a time of {new_s:.6g} s is below the resolution of {rules.quantum_s:g} s"
     if not least * (1 - WITHIN) <= speed <= greatest * (1 + (1e-9 if factor else WITHIN)):
         return f"a speed of {speed:.6g} mm/s; a timed move takes {least:g} to {greatest:g} mm/s"
-    if factor is not None and abs(number.time_s - new_s) > WITHIN * new_s:
+    if factor is not None and abs(number.time_s - new_s) > COARSE * new_s:
         step = rules.speed_quantum * factor / 60
         return (
             f"a time of {new_s:.6g} s is {length_mm / new_s:.6g} mm/s, and speeds are written in steps of {step:g} mm/s"
