@@ -1,7 +1,8 @@
-"""Lateness of the daemon's loop in contact while 50 pages watch and 200 requests a second come, and a lost link.
+"""What 50 pages cost a daemon in contact: its CPU time, how late its loop wakes, and how late it sees a lost link.
 
-The peer has the same load from other processes: they use as much CPU and send the daemon nothing. Wall time of the
-loop: a task in it that sleeps 5 ms records how late it wakes.
+CPU time: pages alone, against a page server without pages. The other rows: pages and 200 requests a second,
+against the same load from other processes, which use as much CPU and send the daemon nothing. Wall time of the loop: a
+task in it that sleeps 5 ms records how late it wakes.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ import json
 import os
 import re
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,57 +37,85 @@ from polishd.commissioning.rehearsal.simulated_cell import (
 from polishd.config.cell import load_config
 from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
+from polishd.model.events import ContactAborted
 from polishd.model.surface import FloatArray
+from polishd.util.worker_process import process_cpu_s
 from polishd.web.http.users import Role, UserFile, users_path
 
 WATCHERS, ASKED_PER_S = 50, 200.0
 USERS = 8
 """Each may send 50 requests a second."""
 PATHS = ("/api/state", "/api/health", "/api/jobs", "/api/alarms")
+NO_PAGES = "without pages"
 TURN_S, SETTLE_S = 12.0, 1.0
+COST_S = 6.0
+"""Of a turn in which the daemon's CPU time is counted, to 0.01 s."""
+REPORTED_S = 30.0
+"""By then the daemon has reported a silent actuator, or it never will."""
 CONTACT_S = 180.0
 """By then the tool is on the part, or the run has failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """What was measured on a cell whose pages are watched."""
+
+    cpu_percent: Mapping[str, list[float]]
+    """CPU time of the daemon in each turn, % of a core, with and without pages."""
+    late_ms: Mapping[str, FloatArray]
+    """Lateness of each wake, by load."""
+    lost_ms: float
+    """Time until a lost link is reported."""
+    share: float
+    """Cores that pages, requests and the page server used."""
 
 
 def rows(progress: Progress) -> Iterator[Row]:
     """Of turns with our load and of those in between; and of a link that is lost under each."""
     with tempfile.TemporaryDirectory() as scratch:
-        late, lost, share = asyncio.run(watched(Path(scratch) / "watched", progress))
-        lost_beside = asyncio.run(beside(Path(scratch) / "beside", share, progress))
+        found = asyncio.run(watched(Path(scratch) / "watched", progress))
+        lost_beside = asyncio.run(beside(Path(scratch) / "beside", found.share, progress))
+    cost = {who: statistics.median(percent) for who, percent in found.cpu_percent.items()}
+    spread = {who: (min(percent), max(percent)) for who, percent in found.cpu_percent.items()}
+    yield Row(
+        f"daemon in contact, {WATCHERS} watchers: its CPU time", cost["ours"], {NO_PAGES: cost[NO_PAGES]},
+        "% of a core", spread,
+    )  # fmt: skip
     load, peer = f"{WATCHERS} watchers and {ASKED_PER_S:g} requests/s", "the same CPU used by others"
     for name, part in (("99th percentile", 99.0), ("99.9th percentile", 99.9)):
-        ours, other = (float(np.percentile(late[who], part)) for who in ("watched", "beside"))
+        ours, other = (float(np.percentile(found.late_ms[who], part)) for who in ("watched", "beside"))
         yield Row(f"loop in contact, {load}: late, {name}", ours, {peer: other}, "ms")
-    yield Row(f"actuator silent in contact, {load}: until it is reported", lost, {peer: lost_beside}, "ms")
+    yield Row(f"actuator silent in contact, {load}: until it is reported", found.lost_ms, {peer: lost_beside}, "ms")
 
 
-async def watched(folder: Path, progress: Progress) -> tuple[dict[str, FloatArray], float, float]:
-    """Lateness of each wake, ms, by load; ms until a lost link is reported; and the cores that ours used."""
-    found: dict[str, list[FloatArray]] = {"watched": [], "beside": []}
+async def watched(folder: Path, progress: Progress) -> Watched:
+    """Measure with pages, in turns with other loads."""
+    late: dict[str, list[FloatArray]] = {"watched": [], "beside": []}
     share = 0.0
     async with running(folder, progress) as cell:
+        cpu_percent = await cell.cpu_percent(progress)
         for turn in range(1, MIN_REPEATS + 1):
             progress(f"watchers: watched {turn}/{MIN_REPEATS}")
-            used_s, begun_s = cell.cpu_s(), time.monotonic()
+            used_s, begun_s = cell.load_cpu_s(), time.monotonic()
             async with watching(cell.port, cell.tokens):
                 await asyncio.sleep(SETTLE_S)
                 settled_s = time.monotonic()
                 await ask(cell.port, cell.tokens)
-                found["watched"].append(cell.late_ms(settled_s))
-            share = (cell.cpu_s() - used_s) / (time.monotonic() - begun_s)
+                late["watched"].append(cell.late_ms(settled_s))
+            share = (cell.load_cpu_s() - used_s) / (time.monotonic() - begun_s)
             progress(f"watchers: beside {share:.2f} of a core {turn}/{MIN_REPEATS}")
             with burning(share):
                 await asyncio.sleep(SETTLE_S)
                 settled_s = time.monotonic()
                 await asyncio.sleep(TURN_S)
-                found["beside"].append(cell.late_ms(settled_s))
+                late["beside"].append(cell.late_ms(settled_s))
         progress("watchers: a link is lost")
         async with watching(cell.port, cell.tokens), asyncio.TaskGroup() as group:
             asking = group.create_task(ask(cell.port, cell.tokens))
             await asyncio.sleep(SETTLE_S)
             lost_ms = await cell.silenced_ms()
             asking.cancel()
-    return {who: np.concatenate(late) for who, late in found.items()}, lost_ms, share
+    return Watched(cpu_percent, {who: np.concatenate(turns) for who, turns in late.items()}, lost_ms, share)
 
 
 async def beside(folder: Path, share: float, progress: Progress) -> float:
@@ -102,30 +133,67 @@ class Running:
     files: DemoFiles
     note: Path
     """Of its daemon's loop."""
+    daemon: subprocess.Popen[bytes]
     web: subprocess.Popen[bytes]
     port: int
     tokens: list[str]
 
-    def cpu_s(self) -> float:
+    def load_cpu_s(self) -> float:
         """Seconds that the page's server and this client have used so far."""
-        fields = Path(f"/proc/{self.web.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / 100 + time.process_time()
+        return process_cpu_s(self.web.pid) + time.process_time()
 
-    def late_ms(self, since_s: float) -> FloatArray:
-        """Lateness of each wake of the daemon's loop since then, all of them in contact."""
+    async def cpu_percent(self, progress: Progress) -> dict[str, list[float]]:
+        """CPU time of the daemon, % of a core, in turns with pages ("ours") and without."""
+        found: dict[str, list[float]] = {"ours": [], NO_PAGES: []}
+        for turn in range(1, MIN_REPEATS + 1):
+            for who, percent in found.items():
+                progress(f"watchers: CPU time, {who} {turn}/{MIN_REPEATS}")
+                async with watching(self.port, self.tokens) if who == "ours" else contextlib.nullcontext():
+                    await asyncio.sleep(SETTLE_S)
+                    used_s, begun_s = process_cpu_s(self.daemon.pid), time.monotonic()
+                    await asyncio.sleep(COST_S)
+                    used_s = process_cpu_s(self.daemon.pid) - used_s
+                    percent.append(100 * used_s / (time.monotonic() - begun_s))
+        self.require_contact()
+        return found
+
+    def require_contact(self) -> None:
+        """RuntimeError where the pass has ended."""
         if not pressing(self.files):
             said = self.files.daemon_log.read_text()
             raise RuntimeError(f"the pass ended before its loop was measured: {said[-999:]}")
+
+    def late_ms(self, since_s: float) -> FloatArray:
+        """Lateness of each wake of the daemon's loop since then, all of them in contact."""
+        self.require_contact()
         rows = [line.split() for line in self.note.read_text().splitlines()[:-1]]
         return np.array([float(late_ms) for due_s, late_ms in rows if float(due_s) >= since_s])
 
     async def silenced_ms(self) -> float:
-        """Time from the actuator's last frame until the daemon reports its loss."""
+        """Time from the actuator's last frame until the daemon reports its loss; RuntimeError where it does not."""
         heard = client.subscribe(self.files.state_dir, CONTACT_S)
-        os.kill(json.loads((self.files.sim_dir / "pids.json").read_text())["actuator"], signal.SIGSTOP)
+        actuator = json.loads((self.files.sim_dir / "pids.json").read_text())["actuator"]
+        os.kill(actuator, signal.SIGSTOP)
         begun_s = time.monotonic()
-        await asyncio.to_thread(lambda: next(one for one in heard if one["name"] == "contact_broken"))
-        return 1e3 * (time.monotonic() - begun_s)
+        try:
+            async with asyncio.timeout(REPORTED_S):
+                await asyncio.to_thread(first_event, heard, ContactAborted.name)
+            return 1e3 * (time.monotonic() - begun_s)
+        except TimeoutError:
+            raise RuntimeError(f"no event {ContactAborted.name} came within {REPORTED_S:g} s") from None
+        finally:
+            os.kill(actuator, signal.SIGCONT)  # the simulated cell waits for it when it ends
+
+
+def first_event(events: Iterable[Mapping[str, Any]], name: str) -> Mapping[str, Any]:
+    """The first event of that name; RuntimeError where they end before it.
+
+    Not ``next``: its StopIteration cannot be raised into a Future, and who awaits the thread would wait for ever.
+    """
+    for event in events:
+        if event["name"] == name:
+            return event
+    raise RuntimeError(f"the daemon ended before its event {name}: read its log")
 
 
 @contextlib.asynccontextmanager
@@ -141,7 +209,7 @@ async def running(folder: Path, progress: Progress) -> AsyncIterator[Running]:
             port = await asyncio.to_thread(port_of, folder / "web.log")
             progress("watchers: until the tool is on the part")
             await in_contact(files, daemon)
-            yield Running(files, note, web, port, tokens)
+            yield Running(files, note, daemon, web, port, tokens)
 
 
 def small(out: Path) -> DemoFiles:
@@ -178,7 +246,7 @@ def port_of(log: Path) -> int:
 
 
 def pressing(files: DemoFiles) -> bool:
-    """Return the state that the daemon reports."""
+    """Whether the tool presses on the part, by the daemon."""
     try:
         return bool(client.request(files.state_dir, "live", 5.0)["pressing"])
     except PolishdError:
@@ -186,12 +254,17 @@ def pressing(files: DemoFiles) -> bool:
 
 
 async def in_contact(files: DemoFiles, daemon: subprocess.Popen[bytes]) -> None:
-    """TimeoutError where the tool does not come down."""
-    async with asyncio.timeout(CONTACT_S):
-        while not await asyncio.to_thread(pressing, files):
-            if daemon.poll() is not None:
-                raise RuntimeError(f"the daemon ended with {daemon.returncode}")
-            await asyncio.sleep(0.5)
+    """Wait until the tool is on the part; RuntimeError where it does not come down."""
+    end_s = time.monotonic() + CONTACT_S
+    while not await asyncio.to_thread(pressing, files):
+        if daemon.poll() is not None or time.monotonic() > end_s:
+            why = (
+                f"within {CONTACT_S:g} s"
+                if daemon.returncode is None
+                else f"before the daemon ended with {daemon.returncode}"
+            )
+            raise RuntimeError(f"no contact {why}: {files.daemon_log.read_text()[-999:]}")
+        await asyncio.sleep(0.5)
 
 
 @contextlib.asynccontextmanager

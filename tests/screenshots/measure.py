@@ -15,6 +15,7 @@ from pathlib import Path
 
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
+from polishd.util.worker_process import process_cpu_s
 from polishd.web.http.static_files import static_files
 from polishd.web.http.users import Role, UserFile, users_path
 from tests.screenshots.camera import OPTIONS, aim
@@ -62,11 +63,6 @@ def paint() -> None:
                 say(f"{dict(found['paint'])} ms; dashboard complete after {whole_ms} ms, {found['bytes']} bytes")
 
 
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / 100
-
-
 def _watch(url: str, token: str, ended: threading.Event, heard: list[int], number: int) -> None:
     """Read the stream as a page does, and the overview every five seconds."""
     headers = {"Authorization": f"Bearer {token}"}
@@ -80,7 +76,10 @@ def _watch(url: str, token: str, ended: threading.Event, heard: list[int], numbe
 
 
 def watchers(count: int) -> None:
-    """Print what so many pages cost: CPU time of the page's server, and requests that reach the daemon."""
+    """Print what so many pages cost: CPU time of the page's server, and requests that reach the daemon.
+
+    The daemon here is a stand-in: `make bench ARGS=watchers` measures what the pages cost a daemon in contact.
+    """
     with tempfile.TemporaryDirectory() as folder:
         files = write_demo(Path(folder) / "cell", None, 2.0, 4, None)
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
@@ -95,10 +94,10 @@ def watchers(count: int) -> None:
             for thread in threads:
                 thread.start()
             time.sleep(3)
-            used_s, looks, told, began_s = _cpu_s(process.pid), daemon.looks, sum(heard), time.monotonic()
+            used_s, looks, told, began_s = process_cpu_s(process.pid), daemon.looks, sum(heard), time.monotonic()
             time.sleep(LASTS_S)
             took_s = time.monotonic() - began_s
-            share, asked = (_cpu_s(process.pid) - used_s) / took_s, (daemon.looks - looks) / took_s
+            share, asked = (process_cpu_s(process.pid) - used_s) / took_s, (daemon.looks - looks) / took_s
             got = (sum(heard) - told) / took_s
             ended.set()
             for thread in threads:

@@ -207,7 +207,7 @@ async def test_subscribers_hear_events(daemon: Path, bus: EventBus) -> None:
 
 async def test_a_subscriber_that_hangs_up_is_forgotten(daemon: Path, bus: EventBus) -> None:
     events = subscribe(daemon)
-    first = asyncio.create_task(asyncio.to_thread(next, events))
+    first = asyncio.create_task(asyncio.to_thread(next, events, {}))
     await until_subscribed(bus)
     bus.publish(PassProgressed(block=1))
     assert (await first)["data"] == {"block": 1}
