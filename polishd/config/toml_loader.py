@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Self, get_args, get_origin
+from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, PrivateAttr, Tag, ValidationError
 
@@ -24,6 +24,8 @@ from polishd.config.fields import ConfigSection
 from polishd.config.renamed_keys import renamed_key
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.util.files import named_path, toml_text
+
+Model = TypeVar("Model", bound=BaseModel)
 
 # Location of a key in a TOML text, and its error: ``FILE:LINE: section.key: ...``.
 
@@ -53,6 +55,8 @@ _FAULTS = {
     "model_type": "must be a section, [{key}], not {kind}",
 }
 """Messages by pydantic's error type. Any other error keeps pydantic's message."""
+_OWN_KEY = r"Value error, ([a-z][a-z0-9_]*(?:\.\w+)*): "
+"""Begin of a message of a section's own check: a key of the section, dotted where it is one of an inner table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,12 +164,21 @@ def validation_problems(
     lines = []
     for found in error.errors(include_url=False):
         key, kind, owner = _follow(model, found["loc"])
-        own = re.match(
-            r"Value error, ([a-z][a-z0-9_]*): ", found["msg"]
-        )  # a section's own check names the key at fault
-        key = (*section, *key, *(own.groups() if own else ()))
+        own = re.match(_OWN_KEY, found["msg"])  # a section's own check names the key at fault
+        key = (*section, *key, *(own[1].split(".") if own else ()))
         lines.append(source.error(key, _message(found, key, kind, owner)))
     return sorted(dict.fromkeys(lines), key=_line)
+
+
+def validated(model: type[Model], raw: Mapping[str, Any], source: TomlSource) -> Model:
+    """Validate a file's values.
+
+    Raises ConfigError, one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
+    """
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        raise ConfigError("\n".join(validation_problems(error, model, source))) from error
 
 
 def _line(message: str) -> int:
@@ -218,7 +231,7 @@ def _message(found: Mapping[str, Any], key: Location, kind: Any, owner: type[Bas
             f"is missing; add it: {f'{key[-1]} = ...' if section_of(kind) is None else f'a section [{_dotted(key)}]'}"
         )
     if fault == "value_error":
-        return re.sub(r"^Value error, (?:[a-z][a-z0-9_]*: )?", "", message)
+        return re.sub(f"{_OWN_KEY}|Value error, ", "", message, count=1)
     if fault not in _FAULTS:
         return f"{message[:1].lower()}{message[1:]}; correct it"
     text = _FAULTS[fault].format(given=given, kind=_kind(given), key=_dotted(key[-1:]), **context)
@@ -256,14 +269,8 @@ class TomlDocument(ConfigSection):
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], source: TomlSource) -> Self:
-        """Validate a file's values.
-
-        Raises ConfigError, one line per problem: ``FILE:LINE: section.key: what is wrong; what to do``.
-        """
-        try:
-            made = cls.model_validate(raw)
-        except ValidationError as error:
-            raise ConfigError("\n".join(validation_problems(error, cls, source))) from error
+        """Validate a file's values, as ``validated``."""
+        made = validated(cls, raw, source)
         made._path, made._source, made._raw = Path(source.file).absolute(), source, raw
         return made
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import difflib
 import functools
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
-from pydantic import ValidationError
-
 from polishd.api import ConfigError, ProgramError
-from polishd.plugins.rnc_robot.gcode.dialect import DwellWord, GcodeDialect, tables
-from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
-from polishd.util.files import toml_text
+from polishd.config.toml_loader import TomlSource, load_toml, validated
+from polishd.plugins.rnc_robot.gcode.dialect import DwellWord, GcodeDialect
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 
 __all__ = ["DEFAULT", "DIALECTS", "LANGUAGES", "AnyDialect", "DwellWord", "GcodeDialect", "dialect"]
 
@@ -31,7 +28,7 @@ AnyDialect = GcodeDialect | LanguageProfile
 
 
 def dialect(name_or_path: str | Path) -> AnyDialect:
-    """The shipped profile of that name, or the one in that TOML file. ConfigError names file and key."""
+    """The shipped profile of that name, or the one in that TOML file. ConfigError names file, line and key."""
     text = str(name_or_path)
     if not text.endswith(".toml"):
         if text not in DIALECTS:
@@ -48,45 +45,33 @@ def _shipped(name: str) -> AnyDialect:
 
 
 def _of_file(path: Path) -> AnyDialect:
-    content = _content(path, ())
-    if content.get("kind") == "template":
-        return parse(content, str(path))
-    try:
-        found = GcodeDialect.model_validate(content)
-        tables(found)
-        return found
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{path}: {key}: {first['msg']}. To do: see the shipped profiles for its form.") from error
+    content, sources = _content(path, ())
+    source = TomlSource(sources[-1].file, sources[-1].text, included=sources)
+    return validated(LanguageProfile if content.get("kind") == "template" else GcodeDialect, content, source)
 
 
-def _content(path: Path, below: tuple[Path, ...]) -> dict[str, Any]:
-    """The file's tables laid over those it ``extends``."""
-    try:
-        content = tomllib.loads(toml_text(path))
-    except ConfigError as error:
-        raise ConfigError(f"{error}. To do: check the path of the dialect.") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: {error}. To do: mend the TOML.") from error
+def _content(path: Path, below: tuple[Path, ...]) -> tuple[dict[str, Any], tuple[TomlSource, ...]]:
+    """The file's tables laid over those it ``extends``; and the sources of all these files, this one last."""
+    content, source = load_toml(path)
     base = content.pop("extends", None)
     if base is None:
-        return content
+        return content, (source,)
     if not isinstance(base, str):
-        raise ConfigError(f"{path}: extends: is no text. To do: name a shipped dialect, or a .toml beside this file.")
+        problem = "is no text; name a shipped dialect, or a .toml beside this file"
+        raise ConfigError(source.error(("extends",), problem))
     parent = FOLDER / f"{base}.toml" if base in DIALECTS else path.parent / base
     if parent.resolve() in (path.resolve(), *below):
-        raise ConfigError(f"{path}: extends: {base!r} comes back to where it began. To do: break the circle.")
-    return _laid_over(_content(parent, (*below, path.resolve())), content)
+        problem = f"{base!r} comes back to where it began; break the circle"
+        raise ConfigError(source.error(("extends",), problem))
+    under, sources = _content(parent, (*below, path.resolve()))
+    return _laid_over(under, content), (*sources, source)
 
 
 def _laid_over(base: dict[str, Any], top: dict[str, Any]) -> dict[str, Any]:
-    """Tables are merged key by key; everything else is replaced."""
+    """Tables are merged key by key; everything else is replaced. Keys of ``top`` come last: an error names those."""
     merged = dict(base)
     for key, value in top.items():
-        old = merged.get(key)
+        old = merged.pop(key, None)
         merged[key] = _laid_over(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
     return merged
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from polishd.api import ConfigError
 from polishd.plugins.rnc_robot.gcode import kernels as c
 
 Unit = Literal["s", "ms", "refuse"]
@@ -113,6 +112,12 @@ class GcodeDialect(_Strict):
     """Why a G code is refused."""
     refused_words: dict[str, str]
 
+    @model_validator(mode="after")
+    def _usable(self) -> GcodeDialect:
+        """A dialect whose words or codes make no sense is refused before a program is read."""
+        tables(self)
+        return self
+
 
 # A dialect as the scanner looks things up: lists for the interpreter, arrays once it is compiled.
 
@@ -151,31 +156,31 @@ class Tables(NamedTuple):
 
 
 def tables(dialect: GcodeDialect) -> Tables:
-    """The dialect's tables; ConfigError names the key that makes no sense."""
+    """The dialect's tables; ValueError, ``KEY: PROBLEM``, for a key that makes no sense."""
     _check_words(dialect)
     names = _names(dialect)
     role = [c.R_UNKNOWN] * c.WORDS
     for letter, what in {"N": c.R_N, "G": c.R_G, "M": c.R_M, "F": c.R_F, "R": c.R_ARC}.items():
-        role[_code(letter, names, dialect)] = what
+        role[_code(letter, names)] = what
     vector = dialect.axes.vector
     axes = [*_AXES[:3], *(_AXES[k] if any(_AXES[k] in pair for pair in dialect.axes.rotary) else "" for k in (3, 4, 5))]
     axes += vector or ["", "", ""]
     if len(axes) != c.AXES:
-        raise ConfigError(f"dialect {dialect.name}: axes.vector: needs three words. To do: name them, or none.")
-    axis_word = [_code(word, names, dialect) if word else -1 for word in axes]
+        raise ValueError("axes.vector: needs three words; name them, or none")
+    axis_word = [_code(word, names, "axes.vector") if word else -1 for word in axes]
     for axis in axis_word:
         if axis >= 0:
             role[axis] = c.R_AXIS
     for letter in "IJK":
-        role[_code(letter, names, dialect)] = c.R_ARC
+        role[_code(letter, names)] = c.R_ARC
     for letter in "PQ" if dialect.g.get("path") else ():
-        role[_code(letter, names, dialect)] = c.R_P
+        role[_code(letter, names)] = c.R_P
     for word in dialect.words.neutral:
-        role[_code(word, names, dialect)] = c.R_NEUTRAL
+        role[_code(word, names, "words.neutral")] = c.R_NEUTRAL
     for word in dialect.words.keywords:
-        role[_code(word, names, dialect)] = c.R_CALL if word.endswith("(") else c.R_KEYWORD
+        role[_code(word, names, "words.keywords")] = c.R_CALL if word.endswith("(") else c.R_KEYWORD
     if dialect.text.program_number:
-        role[_code("O", names, dialect)] = c.R_PROGRAM
+        role[_code("O", names)] = c.R_PROGRAM
     whole, decimal = _dwell_words(dialect, names, role)
     return Tables(
         _flags(dialect), _g_codes(dialect), _m_codes(dialect), role, whole, decimal, axis_word,
@@ -184,8 +189,7 @@ def tables(dialect: GcodeDialect) -> Tables:
 
 
 def _check_words(dialect: GcodeDialect) -> None:
-    """ConfigError for words that no text can hold, or that mean something else already."""
-    where = f"dialect {dialect.name}"
+    """ValueError for words that no text can hold, or that mean something else already."""
     named = {"axes.vector": dialect.axes.vector, "words.neutral": dialect.words.neutral,
              "words.keywords": dialect.words.keywords, "dwell.words": [*dialect.dwell.words],
              "dwell.written": [dialect.dwell.written], "text.realtime": [dialect.text.realtime],
@@ -193,14 +197,14 @@ def _check_words(dialect: GcodeDialect) -> None:
     for key, words in named.items():
         for word in words:
             if not word.isascii():
-                raise ConfigError(f"{where}: {key}: {word!r} is no ASCII text. To do: correct it.")
+                raise ValueError(f"{key}: {word!r} is no ASCII text; correct it")
     taken = {*"NGMFXYZ", *(letter for pair in dialect.axes.rotary for letter in pair)}
     for key in ("words.neutral", "words.keywords"):
         for word in named[key]:
             if word.upper() in taken:
-                raise ConfigError(f"{where}: {key}: {word!r} means something already. To do: take it out.")
+                raise ValueError(f"{key}: {word!r} means something already; take it out")
     if written_dwell_word(dialect) not in dialect.dwell.words:
-        raise ConfigError(f"{where}: dwell.written: ends in no word of dwell.words. To do: end it as in 'G4 P'.")
+        raise ValueError("dwell.written: ends in no word of dwell.words; end it as in 'G4 P'")
 
 
 def written_dwell_word(dialect: GcodeDialect) -> str:
@@ -213,30 +217,31 @@ def _names(dialect: GcodeDialect) -> list[str]:
     words = [*dialect.dwell.words, *dialect.axes.vector, *dialect.words.neutral, *dialect.words.keywords]
     found = {word.upper() for word in words if len(word) > 1 and word != "number"}
     if len(found) > c.WORDS - c.NAMES:
-        raise ConfigError(f"dialect {dialect.name}: more than {c.WORDS - c.NAMES} names. To do: name fewer.")
+        raise ValueError(f"words: more than {c.WORDS - c.NAMES} names of several letters in all; name fewer")
     return sorted(found, key=len, reverse=True)
 
 
-def _code(word: str, names: list[str], dialect: GcodeDialect) -> int:
+def _code(word: str, names: list[str], key: str = "words") -> int:
+    """The code of a word; ValueError at ``key`` where it is none."""
     if word == "number":
         return c.BARE
     upper = word.upper()
     if upper in names:
         return c.NAMES + names.index(upper)
     if len(upper) != 1 or not "A" <= upper <= "Z":
-        raise ConfigError(f"dialect {dialect.name}: {word!r} is no word. To do: give a letter, or a name.")
+        raise ValueError(f"{key}: {word!r} is no word; give a letter, or a name")
     return ord(upper) - 65
 
 
 def _dwell_words(dialect: GcodeDialect, names: list[str], role: list[int]) -> tuple[list[int], list[int]]:
     whole, decimal = [c.U_NONE] * c.WORDS, [c.U_NONE] * c.WORDS
     for letter in dialect.dwell.refused:
-        code = _code(letter, names, dialect)
+        code = _code(letter, names, "dwell.refused")
         whole[code] = decimal[code] = c.U_REFUSE
         if role[code] == c.R_UNKNOWN:
             role[code] = c.R_TIME
     for word, unit in dialect.dwell.words.items():
-        code = _code(word, names, dialect)
+        code = _code(word, names, "dwell.words")
         whole[code], decimal[code] = _UNITS[unit.whole], _UNITS[unit.decimal]
         if role[code] == c.R_UNKNOWN:
             role[code] = c.R_STATEMENT if word.startswith("#") else c.R_TIME
@@ -262,32 +267,31 @@ def _flags(dialect: GcodeDialect) -> list[int]:
 
 
 def _g_codes(dialect: GcodeDialect) -> list[int]:
-    found = [0] * 10_000
-    for does, numbers in {**dialect.g, "dwell": dialect.dwell.codes}.items():
-        if does != "dwell" and does not in _ACTIONS:
-            raise ConfigError(f"dialect {dialect.name}: g.{does}: is not known. To do: one of {', '.join(_ACTIONS)}.")
-        for number in numbers:
-            _set(found, number * 10, _ACTIONS.get(does, c.DWELL), f"dialect {dialect.name}: g.{does}")
-    return found
+    listed = [(f"g.{does}", numbers, _ACTIONS.get(does)) for does, numbers in dialect.g.items()]
+    return _codes([("dwell.codes", dialect.dwell.codes, c.DWELL), *listed], 10, 1000, _ACTIONS)
 
 
 def _m_codes(dialect: GcodeDialect) -> list[int]:
-    found = [0] * 1000
-    for does, numbers in dialect.m.items():
-        if does not in _M_ACTIONS:
-            raise ConfigError(f"dialect {dialect.name}: m.{does}: is not known. To do: one of {', '.join(_M_ACTIONS)}.")
+    listed = [(f"m.{does}", numbers, _M_ACTIONS.get(does)) for does, numbers in dialect.m.items()]
+    return _codes(listed, 1, 1000, _M_ACTIONS)
+
+
+def _codes(
+    listed: Iterable[tuple[str, list[float], int | None]], steps: int, end: int, known: Iterable[str]
+) -> list[int]:
+    """Actions by code times ``steps``, below ``end``, from keys with their numbers and their action."""
+    found, keys = [0] * (end * steps), dict[int, str]()
+    for key, numbers, does in listed:
+        if does is None:
+            raise ValueError(f"{key}: is not known; use one of {', '.join(known)}")
         for number in numbers:
-            _set(found, number, _M_ACTIONS[does], f"dialect {dialect.name}: m.{does}")
+            code = round(number * steps) if math.isfinite(number) else -1
+            if abs(code - number * steps) > 1e-6 or not 0 <= code < len(found):
+                raise ValueError(f"{key}: {number:g} is no code; correct it")
+            if found[code] not in (0, does):
+                raise ValueError(f"{key}: {number:g} is in {keys[code]} too; take it out of one of them")
+            found[code], keys[code] = does, key
     return found
-
-
-def _set(found: list[int], number: float, does: int, where: str) -> None:
-    code = round(number) if math.isfinite(number) else -1
-    if abs(code - number) > 1e-6 or not 0 <= code < len(found):
-        raise ConfigError(f"{where}: {number:g} is no code. To do: correct it.")
-    if found[code] not in (0, does):
-        raise ConfigError(f"{where}: {number:g} does two things. To do: take it out of one of them.")
-    found[code] = does
 
 
 def _packed(names: list[str]) -> tuple[list[int], list[int]]:

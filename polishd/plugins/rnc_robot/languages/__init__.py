@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from polishd.plugins.rnc_robot.languages.data_file import beside_of
 from polishd.plugins.rnc_robot.languages.move_times import recode_moves
-from polishd.plugins.rnc_robot.languages.profile import LanguageProfile, parse
+from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.program import read, rewrite, split, tool_and_frame
 
 __all__ = [
     "LanguageProfile",
     "beside_of",
-    "parse",
     "read",
     "recode_moves",
     "rewrite",

@@ -6,11 +6,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from polishd.api import ConfigError
 from polishd.plugins.rnc_robot.languages.columns import Convention
 
 # The notation of statement templates: ``MoveL <target>,<speed>,<zone>,<tool><? \WObj:=<frame>?>;``.
@@ -417,20 +416,6 @@ class LanguageProfile(_Strict):
     def kinds(self) -> frozenset[Kind]:
         """What the language's statements may be at all."""
         return frozenset(pattern.kind for pattern in self.patterns)
-
-
-def parse(content: Mapping[str, Any], source: str) -> LanguageProfile:
-    """The profile in a parsed TOML document, ``extends`` already carried out. ConfigError names file and key."""
-    try:
-        return LanguageProfile.model_validate(content)
-    except ValidationError as error:
-        found = [f"{source}: {_key(entry['loc'])}{entry['msg']}" for entry in error.errors()]
-        raise ConfigError("\n".join(found) + ". To do: see docs/how-to/robot-languages.md for its form.") from error
-
-
-def _key(location: tuple[int | str, ...]) -> str:
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
-    return f"{key}: " if key else ""
 
 
 def _patterns(profile: LanguageProfile) -> Iterator[Pattern]:
