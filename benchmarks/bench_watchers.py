@@ -76,7 +76,8 @@ def rows(progress: Progress) -> Iterator[Row]:
         found = asyncio.run(watched(Path(scratch) / "watched", progress))
         lost_beside = asyncio.run(beside(Path(scratch) / "beside", found.share, progress))
     cost = {who: statistics.median(percent) for who, percent in found.cpu_percent.items()}
-    spread = {who: (min(percent), max(percent)) for who, percent in found.cpu_percent.items()}
+    quarters = {who: statistics.quantiles(turns, method="inclusive") for who, turns in found.cpu_percent.items()}
+    spread = {who: (low, high) for who, (low, _, high) in quarters.items()}
     yield Row(
         f"daemon in contact, {WATCHERS} watchers: its CPU time", cost["ours"], {NO_PAGES: cost[NO_PAGES]},
         "% of a core", spread,
