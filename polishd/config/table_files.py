@@ -16,7 +16,7 @@ from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.outline import Polygon, polygon
 from polishd.model.process import MeasuredCompliance, MeasuredTif
 from polishd.model.surface import FloatArray
-from polishd.util.files import write_atomic
+from polishd.util.files import read_input
 
 PLACE = ("x_mm", "y_mm", "z_mm")
 TIF_KEYS = ("rate_nm_s", "pitch_mm", "azimuth_deg", "depth_ratio", "rotates")
@@ -67,7 +67,7 @@ def _by_file(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> 
 def _entries(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
     """Return ``FILE:LINE`` and the entries by column of each line after the header, which has all ``names``."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_input(path).decode("utf-8-sig")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a CSV file") from error
     except UnicodeDecodeError as error:
@@ -119,9 +119,9 @@ def read_compliance_table(path: Path) -> MeasuredCompliance:
 
 
 def read_tif(path: Path) -> MeasuredTif:
-    """Read a TIF as ``write_tif`` writes it; raise ConfigError for any other file."""
+    """Read a TIF as ``tif_bytes`` makes it; raise ConfigError for any other file."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+        with np.load(io.BytesIO(read_input(path)), allow_pickle=False) as stored:
             rate, *rest = (stored[key] for key in TIF_KEYS)
             pitch, azimuth, ratio, rotates = (value.item() for value in rest)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
@@ -131,11 +131,6 @@ def read_tif(path: Path) -> MeasuredTif:
     if not (whole and tif.pitch_mm > 0 and tif.depth_ratio > 0 and math.isfinite(tif.azimuth_deg)):
         raise ConfigError(f"{path}: the TIF is zero or not finite; make a new one with polishd calibrate tif")
     return tif
-
-
-def write_tif(path: Path, tif: MeasuredTif) -> None:
-    """Write a TIF atomically as an npz file of arrays, which numpy alone can read."""
-    write_atomic(path, tif_bytes(tif))
 
 
 def tif_bytes(tif: MeasuredTif) -> bytes:

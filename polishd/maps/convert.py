@@ -16,7 +16,7 @@ from polishd.model.errors import ConfigError, MapError, SurfaceError
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrology.instrument import same_system
 from polishd.rendering.terminal import emit
-from polishd.util.files import write_atomic
+from polishd.util.files import require_writable_file, write_atomic
 
 WITHIN_NM = 0.01
 """Largest change of a height by the rounding of a format ..."""
@@ -42,15 +42,14 @@ def require_target(target: Path, files: Sequence[Path], source: MapSource, *, fo
 
     Raises:
         BadParameter: its ending is of no format that can be written.
-        ConfigError: it is one of the files that are read, or is there and may not be replaced.
+        ConfigError: it is one of the files that are read, is there and may not be replaced, or cannot be written.
     """
     _writer(target, source)
-    if not target.exists():
-        return
-    if any(file.exists() and target.samefile(file) for file in files):
+    if target.exists() and any(file.exists() and target.samefile(file) for file in files):
         raise ConfigError(f"{target}: is the map that is read; name another file")
-    if not force:
+    if target.exists() and not force:
         raise ConfigError(f"{target}: exists already; name another file, or say --force")
+    require_writable_file(target)
 
 
 def _writer(target: Path, source: MapSource) -> tuple[str, Callable[[SurfaceMap], bytes]]:

@@ -23,6 +23,7 @@ from polishd.pipeline.run_folder import read_map
 from polishd.plugins.interferometer.formats.common import IN_UNITS, NO_PITCH, nm_per, pitch
 from polishd.process.metrology.conditioning import SAME_PITCH
 from polishd.rendering.terminal import stdout
+from polishd.util.files import require_writable_file
 
 if TYPE_CHECKING:
     from polishd.config.cell import CellConfig
@@ -397,9 +398,12 @@ def edges_mm(text: str) -> tuple[float, ...]:
 
 
 def require_picture(out: Path | None) -> None:
-    """ConfigError where ``--out`` does not end in ``.png``: it could be a map."""
-    if out is not None and out.suffix.lower() != ".png":
+    """ConfigError where the picture cannot be written, or does not end in ``.png``: it could be a map."""
+    if out is None:
+        return
+    if out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a picture is a PNG file; name it *.png")
+    require_writable_file(out)
 
 
 def draw(out: Path, picture: bytes, *, as_json: bool) -> None:

@@ -11,7 +11,7 @@ from polishd.hookspecs import SurfaceReader, looks_like
 from polishd.model.errors import MapError, ProgramError
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.records import as_json
-from polishd.util.files import write_atomic
+from polishd.util.files import read_input, write_atomic
 
 
 class RunFolder:
@@ -72,7 +72,7 @@ SNIFF_BYTES = 4096
 def read_program_bytes(path: Path) -> bytes:
     """A program file's content; ProgramError where it cannot be read or is empty."""
     try:
-        content = path.read_bytes()
+        content = read_input(path)
     except OSError as error:
         raise ProgramError(f"{path}: cannot be read: {error.strerror}; name the RNC program's file") from error
     if not content.strip():

@@ -16,7 +16,7 @@ from polishd.config.cell import CellConfig
 from polishd.config.cell_sections import InstrumentSection
 from polishd.config.table_files import read_polygon
 from polishd.maps.map_files import MapSource
-from polishd.model.errors import ComputeError, ProgramError
+from polishd.model.errors import ComputeError, ConfigError, ProgramError
 from polishd.model.outline import hexagon
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.program import Encoding, Program
@@ -204,11 +204,13 @@ def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
     aperture = rest if kind in ("mask", "polygon") else ""
     sources = (options.cell, aperture, options.removal)
     require_new_target(options.out, *(Path(read_from) for read_from in sources if read_from))
-    with target_file(options.out) as file:
+    if options.picture is not None and options.picture.absolute() == options.out.absolute():
+        raise ConfigError(f"{options.out}: is named by --out and --picture; name two files")
+    with target_file(options.out) as file:  # it gets its name when the picture is written
         file.write(text)
-    if options.picture is not None:
-        normals = unit_normals(made.optic, made.points_mm[:, :2])
-        save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
+        if options.picture is not None:
+            normals = unit_normals(made.optic, made.points_mm[:, :2])
+            save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
 
 
 def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:

@@ -24,7 +24,7 @@ from polishd.plugins.rnc_robot.formats import beside_of, read, rewrite
 from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream, scan_program
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
-from polishd.util.files import whole_file
+from polishd.util.files import open_input, read_all, whole_file
 
 # A CSV of dwells: one number in seconds a row, no header, one row a point.
 
@@ -71,7 +71,7 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
     """
     done = 0
     try:
-        with path.open("rb") as file:
+        with open_input(path) as file:
             rows = file.readlines(_PIECE)
             if rows:
                 rows[0] = rows[0].removeprefix(b"\xef\xbb\xbf")
@@ -188,8 +188,8 @@ def read_program_file(dialect: AnyDialect, file: Path) -> Program:
 def opened(file: Path) -> Iterator[BinaryIO]:
     """Open a program's file for repeated reading; ProgramError where it cannot be read."""
     try:
-        with file.open("rb") as source:
-            yield source if source.seekable() else BytesIO(source.read())  # a pipe is held in memory
+        with open_input(file) as source:
+            yield source if source.seekable() else BytesIO(read_all(source))  # a pipe is held in memory
     except OSError as error:
         raise ProgramError(f"{file}: cannot be read: {error.strerror or error}. To do: check the path.") from error
 

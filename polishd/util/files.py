@@ -1,4 +1,4 @@
-"""Files written whole, and secrets.
+"""Files that are read, files written whole, and secrets.
 
 A reader, or a power cut, sees the old content or the new, never half of one. A config names the location of a secret,
 never its value, which is used at once and never logged.
@@ -20,6 +20,40 @@ from typing import Annotated, Any, BinaryIO
 from polishd.model.errors import ConfigError
 
 PROBE_BYTES = 4096
+MOST_BYTES = 1 << 30
+"""No file that is read whole is larger."""
+MOST_TOML_BYTES = 1 << 24
+_PIECE = 1 << 20
+
+
+def open_input(path: Path) -> BinaryIO:
+    """Open a file that a user names, to be read. OSError; for a device, too: it may have no end (``/dev/zero``).
+
+    A pipe is opened as a file is: ``polishd check <(...)``, ``/dev/stdin``.
+    """
+    mode = path.stat().st_mode
+    if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+        raise OSError(errno.EINVAL, "it is a device, not a file", str(path))
+    return path.open("rb")
+
+
+def read_input(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """Return the content of a file that a user names. OSError; for a device or a larger file, too."""
+    with open_input(path) as file:
+        return read_all(file, most_bytes)
+
+
+def read_all(file: BinaryIO, most_bytes: int = MOST_BYTES) -> bytes:
+    """Return what is left of a file or a pipe; OSError where that is larger."""
+    # what is asked for is allocated first: no more than there is; the size of a pipe is 0
+    pieces = [file.read(min(os.fstat(file.fileno()).st_size, most_bytes) + 1)]
+    size = len(pieces[0])
+    while size <= most_bytes and (piece := file.read(_PIECE)):
+        pieces.append(piece)
+        size += len(piece)
+    if size > most_bytes:
+        raise OSError(errno.EFBIG, f"it is larger than {most_bytes >> 20} MiB", str(file.name))
+    return b"".join(pieces)
 
 
 @contextlib.contextmanager
@@ -60,7 +94,8 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
         for name, content in files.items():
             file = stack.enter_context(whole_file(folder / name))
             file.write(content)
-            file.flush()  # a full disk shows here, before the first file gets its name
+            file.flush()
+            os.fsync(file.fileno())  # a full disk shows here, before the first file gets its name
 
 
 def named_path(base: Path, named: str | Path) -> Path:
@@ -77,7 +112,7 @@ def named_path(base: Path, named: str | Path) -> Path:
 def toml_text(path: Path) -> str:
     """A TOML file's text, without the byte-order mark and the line ends of other systems. ConfigError."""
     try:
-        return path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+        return read_input(path, MOST_TOML_BYTES).decode("utf-8-sig").replace("\r\n", "\n")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}; name a TOML file") from error
     except UnicodeDecodeError as error:
@@ -96,6 +131,15 @@ def require_writable(folder: Path) -> None:
             probe.flush()
     except OSError as error:
         raise unwritable_message(folder, error) from error
+
+
+def require_writable_file(path: Path) -> None:
+    """ConfigError unless a file of that name can be written: for what is computed for long, or one file of several."""
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{path}: is there, and is no regular file; name another")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path.parent}: is not a folder; make it, or name a file in another")
+    require_writable(path.parent)
 
 
 def require_new(out: Path) -> None:

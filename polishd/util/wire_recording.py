@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from polishd.model.errors import ConfigError
+from polishd.util.files import open_input
 
 Way = Literal["open", "out", "in", "end"]
 
@@ -185,7 +186,7 @@ def _line(fields: Mapping[str, Any]) -> bytes:
 
 def _rows(path: Path, notes: list[str]) -> Iterator[tuple[int, dict[str, Any]]]:
     """Number and content of each line; unpacked by hand or not."""
-    with path.open("rb") as raw:
+    with open_input(path) as raw:
         packed = raw.read(2) == b"\x1f\x8b"
     at = 0
     with gzip.open(path) if packed else path.open("rb") as file:

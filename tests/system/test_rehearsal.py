@@ -13,7 +13,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, demo_program
 from polishd.config.cell import load_config
-from polishd.config.table_files import write_tif
+from polishd.config.table_files import tif_bytes
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.process.removal import contact
 from tests.patience import SOON_S
@@ -46,7 +46,7 @@ def write_spot(path: Path) -> None:
     at = (np.arange(49) - 24) * 0.1
     depth = MEASURED_AT * contact.hertz_depth_mm(process)
     rate = contact.removal_rate_nm_s(process, depth, at[None, :], -at[:, None])
-    write_tif(path, MeasuredTif(np.asarray(rate), 0.1, azimuth_deg=90.0, depth_ratio=MEASURED_AT))
+    path.write_bytes(tif_bytes(MeasuredTif(np.asarray(rate), 0.1, azimuth_deg=90.0, depth_ratio=MEASURED_AT)))
 
 
 def loads_files(out: Path) -> DemoFiles:

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
 from polishd.config.cell import CellConfig, load_config
-from polishd.config.table_files import PLACE, read_columns, write_tif
+from polishd.config.table_files import PLACE, read_columns, tif_bytes
 from polishd.maps.map_files import MapSource
 from polishd.model.errors import ComputeError, ConfigError, MapError
 from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, Projection, SerialRobot, ToolProcess
@@ -20,7 +21,7 @@ from polishd.process.metrology.instrument import require_complete
 from polishd.process.removal.measured_tif import TifReport, preston_from_tif, tif_from_maps
 from polishd.process.robot.calibration import LoadingTests, StiffnessFit, fit_doubts, fit_exponent, fit_stiffness
 from polishd.rendering.terminal import emit, key_table, record_table, stderr
-from polishd.util.files import write_atomic
+from polishd.util.files import write_together
 
 # ``polishd calibrate``: fits to measurements, with their errors, written as fragments that a cell includes.
 
@@ -188,8 +189,7 @@ def _write_tif_fragment(out: Path, config: CellConfig | None, tif: MeasuredTif, 
     spot = out.with_suffix(".npz")
     name = spot.name if config is None else config.relative(spot)
     keys = {"removal_model": '"measured_tif"', "tif": f'"{name}"', "preston": f'"{preston:.5g} cm2/N"'}
-    _writing(spot, lambda: write_tif(spot, tif))
-    _write_fragment(out, "process", keys, what)
+    _write_fragment(out, "process", keys, what, {spot.name: tif_bytes(tif)})
 
 
 def exponent_verb(spots: Path, out: Path | None, *, as_json: bool) -> None:
@@ -212,18 +212,16 @@ def _require_toml(out: Path | None) -> None:
         raise ConfigError(f"{out}: a fragment is a TOML file; name it *.toml")
 
 
-def _write_fragment(path: Path, section: str, keys: Mapping[str, str], what: str) -> None:
-    """TOML that a cell's ``include`` takes: what was found, and from what."""
+def _write_fragment(
+    path: Path, section: str, keys: Mapping[str, str], what: str, beside: Mapping[str, bytes] = MappingProxyType({})
+) -> None:
+    """TOML that a cell's ``include`` takes: what was found, and from what; with the files that it names, or nothing."""
     if not keys:
         raise ConfigError(f"{path}: nothing to write: the measurements determine nothing new")
     when = datetime.now(UTC).isoformat(timespec="seconds")
     lines = [f"# polishd calibrate, {when}: {what}", f"[{section}]", *(f"{k} = {v}" for k, v in keys.items())]
-    _writing(path, lambda: write_atomic(path, ("\n".join(lines) + "\n").encode()))
-
-
-def _writing(path: Path, write: Callable[[], None]) -> None:
     try:
-        write()
+        write_together(path.parent, {**beside, path.name: ("\n".join(lines) + "\n").encode()})
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; name another file with --out") from error
 

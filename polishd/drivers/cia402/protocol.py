@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from polishd.api import ConfigError, DeviceRefused, ProtocolError
 from polishd.drivers.transport.can_frames import CanFrame
+from polishd.util.files import read_input
 
 if TYPE_CHECKING:
     from canopen.objectdictionary import ObjectDictionary, ODVariable
@@ -345,7 +346,7 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
     from canopen.objectdictionary import eds
 
     try:
-        text = _decoded(path.read_bytes())
+        text = _decoded(read_input(path))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     if "[DeviceInfo]" not in text:

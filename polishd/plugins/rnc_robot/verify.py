@@ -33,6 +33,7 @@ from polishd.plugins.rnc_robot.languages.move_times import timeless_lines
 from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.timed_moves import locations, require_rules, timed_moves
+from polishd.util.files import read_input
 
 _SILENT = frozenset((b"COMMENT", b"MESSAGE", b"SET_FEED_RATE", b"SET_FEED_MODE", b"DWELL"))
 """Calls that move nothing; a change of times may change them."""
@@ -541,7 +542,7 @@ def _content(program: bytes | Path, name: str) -> tuple[bytes, str]:
     if isinstance(program, bytes):
         return program, name
     try:
-        return program.read_bytes(), program.name
+        return read_input(program), program.name
     except OSError as error:
         raise ProgramError(f"{program}: cannot be read: {error.strerror}. To do: check the path.") from error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import re
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.rendering.terminal import emit, key_table, say
-from polishd.util.files import require_writable, write_atomic
+from polishd.util.files import require_writable_file, write_together
 
 if TYPE_CHECKING:
     from polishd.reports.certificate.content import CertificateDraft, CertificateRequest
@@ -100,9 +99,7 @@ def _require_new(out: Path) -> Path:
     for path in (out, json_path):
         if path.exists():
             raise ConfigError(f"{path}: exists, and a certificate is never overwritten. Name another file with --out.")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out.parent}: is not a folder. Make it, or name another with --out.")
-    require_writable(out.parent)
+    require_writable_file(out)
     return json_path
 
 
@@ -135,12 +132,8 @@ def _drawn(draft: CertificateDraft, signed_by: str) -> tuple[bytes, int]:
 def _write(pdf_path: Path, pdf: bytes, json_path: Path, json_bytes: bytes) -> None:
     """Write both files, or none."""
     try:
-        write_atomic(pdf_path, pdf)
-        write_atomic(json_path, json_bytes)
+        write_together(json_path.parent, {pdf_path.name: pdf, json_path.name: json_bytes})
     except OSError as error:
-        for path in (pdf_path, json_path):
-            with contextlib.suppress(OSError):  # a read-only disk refuses that, too
-                path.unlink(missing_ok=True)
         raise ConfigError(
             f"{json_path.parent}: cannot be written: {error.strerror}. Name another folder with --out."
         ) from error

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from polishd.model.errors import ConfigError
 from polishd.reports.certificate.model import SCHEMA, PartCertificate, Seal, Signature
-from polishd.util.files import require_private, write_atomic
+from polishd.util.files import read_input, require_private, write_atomic
 
 ID_DIGITS = 16
 SEAL = "seal"
@@ -130,7 +130,7 @@ def _refuse_key(path: Path, kind: str) -> NoReturn:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_input(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}. Name the file of the key.") from error
 
@@ -196,7 +196,7 @@ def verify(path: Path, key: Ed25519PublicKey | None) -> Verified:
 
 def _read_certificate(json_path: Path, path: Path) -> bytes:
     try:
-        return json_path.read_bytes()
+        return read_input(json_path)
     except OSError as error:
         action = "Name a certificate."
         if json_path != path:
@@ -267,7 +267,7 @@ def _pdf(named: Path, json_path: Path, certificate: PartCertificate) -> Verifica
     """Check the PDF that was named, or the one that the JSON file names beside it."""
     path = named if named != json_path else json_path.with_name(Path(certificate.pdf.name).name)
     try:
-        content = path.read_bytes()
+        content = read_input(path)
     except OSError as error:
         right = None if named == json_path else False
         return VerificationFinding("pdf", right, f"{path.name} was not checked: {error.strerror}.")

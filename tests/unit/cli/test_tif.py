@@ -10,7 +10,7 @@ from PIL import Image
 
 from polishd.commissioning.rehearsal.simulated_cell import demo_program
 from polishd.config.cell import load_config
-from polishd.config.table_files import write_tif
+from polishd.config.table_files import tif_bytes
 from polishd.model.process import MeasuredTif
 from tests.unit.said import Polishd
 
@@ -64,7 +64,9 @@ def test_a_resolved_force_goes_deeper(polishd: Polishd, tmp_path: Path) -> None:
 @pytest.mark.full
 def test_a_measured_tif_shows_what_was_measured(polishd: Polishd, tmp_path: Path) -> None:
     x = np.arange(-20, 21) * 0.1
-    write_tif(tmp_path / "spot.npz", MeasuredTif(30 * np.exp(-(x[:, None] ** 2) - x[None, :] ** 2), 0.1, 90.0, 0.9))
+    (tmp_path / "spot.npz").write_bytes(
+        tif_bytes(MeasuredTif(30 * np.exp(-(x[:, None] ** 2) - x[None, :] ** 2), 0.1, 90.0, 0.9))
+    )
     cell = changed(tmp_path, ('removal_model = "hertz_preston"', 'removal_model = "measured_tif"\ntif = "spot.npz"'))
     answer = polishd("tif", cell, "--json", "--out", tmp_path / "spot.png").answer
     assert (answer["depth_ratio"], answer["peak_nm_s"]) == (0.9, 30.0)

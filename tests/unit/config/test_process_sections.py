@@ -11,7 +11,7 @@ import pytest
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.study import load_study
-from polishd.config.table_files import write_tif
+from polishd.config.table_files import tif_bytes
 from polishd.model.errors import ConfigError
 from polishd.model.process import ComplianceOptions, HybridRobot, MeasuredCompliance, MeasuredTif, Optic, SerialRobot
 
@@ -202,7 +202,7 @@ def test_include_is_a_list_of_names(tmp_path: Path, example: str, include: str) 
 
 def test_the_other_nouns_of_the_physics(tmp_path: Path, example: str) -> None:
     tif = MeasuredTif(np.array([[0.0, 1.0], [2.0, 0.5]]), 0.1, 30.0, 0.9, rotates=False)
-    write_tif(tmp_path / "spot.npz", tif)
+    (tmp_path / "spot.npz").write_bytes(tif_bytes(tif))
     overrides = {
         "process.tif": "spot.npz",
         "compliance.frame": "frenet",

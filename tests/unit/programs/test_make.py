@@ -338,6 +338,13 @@ def test_the_limit_of_turns_is_the_paths() -> None:
     assert inspect.signature(make).parameters["turn_limit_deg"].default == TURN_LIMIT_DEG
 
 
+def test_no_program_is_written_without_its_picture(tmp_path: Path) -> None:
+    for picture, why in ((tmp_path / "none" / "x.png", "cannot be written"), (tmp_path / "made.nc", "name two files")):
+        error, there = refused(tmp_path, "raster", "--aperture", "circle:10", "--picture", picture)
+        assert why in str(error)
+        assert there == []
+
+
 @pytest.mark.full
 def test_people_get_a_table_and_a_picture(tmp_path: Path) -> None:
     picture = tmp_path / "path.png"

@@ -7,6 +7,7 @@ import errno
 import os
 import re
 import tempfile
+import threading
 from io import BytesIO
 from pathlib import Path
 
@@ -17,9 +18,12 @@ from polishd.util.files import (
     environment_without_secrets,
     make_folder,
     named_path,
+    read_all,
+    read_input,
     read_secret,
     require_private,
     require_writable,
+    require_writable_file,
     sync_folder,
     toml_text,
     whole_file,
@@ -89,10 +93,21 @@ def test_the_error_of_a_full_disk_names_the_file(tmp_path: Path, monkeypatch: py
     assert raised.value.filename == str(tmp_path / "cell.toml")
 
 
-def test_files_written_together_are_all_there_or_none(tmp_path: Path) -> None:
+def test_files_written_together_are_all_there_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced = []
+
+    def full_at_the_second(handle: int) -> None:
+        synced.append(handle)
+        if len(synced) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
     (tmp_path / "b").write_bytes(b"mine")
     with pytest.raises(OSError, match="No such file"):
         write_together(tmp_path, {"a": b"1", "b": b"2", "no/c": b"3"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"b": b"mine"}
+    monkeypatch.setattr(os, "fsync", full_at_the_second)
+    with pytest.raises(OSError, match="No space"):
+        write_together(tmp_path, {"a": b"1", "b": b"2"})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"b": b"mine"}
     write_together(tmp_path, {"a": b"1", "b": b"2"})
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"1", "b": b"2"}
@@ -189,6 +204,58 @@ def test_a_text_of_another_encoding_is_refused_with_its_first_bad_byte(tmp_path:
 def test_an_unreadable_file_is_refused_with_the_error_of_the_system(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=re.escape(f"{tmp_path}: cannot be read: Is a directory; name a TOML file")):
         toml_text(tmp_path)
+
+
+# files that a user names may be none
+
+
+@pytest.mark.parametrize("device", ["/dev/zero", "/dev/null", "/dev/tty"])
+def test_a_device_is_refused_before_it_is_read(device: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{device}: cannot be read: it is a device, not a file; name a TOML file$"):
+        toml_text(Path(device))
+
+
+def test_a_pipe_is_read_as_a_file_is(tmp_path: Path) -> None:
+    pipe, content = tmp_path / "pipe", b"a = 1\n" * 20_000
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_bytes, args=[content])
+    writer.start()
+    try:
+        assert read_input(pipe) == content
+    finally:
+        writer.join()
+
+
+@pytest.mark.parametrize("size", [3, 4, 5])
+def test_no_more_is_read_than_the_limit(tmp_path: Path, size: int) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"x" * (size << 20))
+    read_end, write_end = os.pipe()
+    with path.open("rb") as file, os.fdopen(read_end, "rb") as pipe:
+        writer = threading.Thread(target=_write_all, args=[write_end, path.read_bytes()])
+        writer.start()
+        for source in (file, pipe):
+            if size > 4:
+                with pytest.raises(OSError, match="it is larger than 4 MiB"):
+                    read_all(source, 4 << 20)
+            else:
+                assert len(read_all(source, 4 << 20)) == size << 20
+    writer.join()  # where not all was read, its pipe is closed
+
+
+def _write_all(handle: int, content: bytes) -> None:
+    with contextlib.suppress(BrokenPipeError), os.fdopen(handle, "wb", buffering=0) as file:
+        file.write(content)
+
+
+def test_a_file_that_can_be_written_is_known_beforehand(tmp_path: Path) -> None:
+    require_writable_file(tmp_path / "new.png")
+    (tmp_path / "old.png").touch()
+    require_writable_file(tmp_path / "old.png")
+    with pytest.raises(ConfigError, match="none: is not a folder; make it"):
+        require_writable_file(tmp_path / "none" / "new.png")
+    with pytest.raises(ConfigError, match="is there, and is no regular file; name another"):
+        require_writable_file(tmp_path)
 
 
 # what others see meanwhile

@@ -212,6 +212,9 @@ def test_maps_that_do_not_fit_or_show_no_spot_are_refused(
     assert "no spot stands out" in said.err
     assert polishd("calibrate", "tif", before, after, "--seconds", "0").code == 10
     assert not list(tmp_path.glob("t.*"))
+    (tmp_path / "t.npz").mkdir()
+    said = polishd("calibrate", "tif", before, after, "--seconds", "20", "--out", tmp_path / "t.toml")
+    assert (said.code, list(tmp_path.glob("t.*"))) == (3, [tmp_path / "t.npz"]), "the two files or none"
 
 
 def test_the_exponent_is_found_and_a_cell_takes_it(polishd: Polishd, tmp_path: Path) -> None:

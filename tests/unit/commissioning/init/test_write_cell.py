@@ -20,7 +20,7 @@ from polishd.commissioning.init.draft import draft_cell
 from polishd.commissioning.init.write_cell import Seat, find_seat, reached
 from polishd.config.cell import CellConfig, load_config
 from polishd.config.instrument_profile import load_profile
-from polishd.config.table_files import read_tif, write_tif
+from polishd.config.table_files import read_tif, tif_bytes
 from polishd.maps.map_files import MapSource
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.model.process import MeasuredTif, SerialRobot
@@ -238,7 +238,7 @@ def test_two_maps_of_a_spot_become_the_cells_removal(tmp_path: Path) -> None:
 def test_files_that_answers_name_are_found_from_the_cell_too(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "corners.csv").write_text("x_mm,y_mm\n9,7\n-9,7\n-9,-7\n9,-7\n")
-    write_tif(tmp_path / "data" / "spot.npz", MeasuredTif(np.eye(9), 0.5))
+    (tmp_path / "data" / "spot.npz").write_bytes(tif_bytes(MeasuredTif(np.eye(9), 0.5)))
     part = LENS.replace("aperture_mm = 20", 'polygon_file = "data/corners.csv"')
     init(tmp_path, part + '[spot]\nfile = "data/spot.npz"\n')
     config = load_config(tmp_path / "cell" / "cell.toml")

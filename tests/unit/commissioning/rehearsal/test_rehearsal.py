@@ -21,7 +21,7 @@ from polishd.config.cell import load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
 from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR
 from polishd.config.simulator import SimConfig, load_simulator
-from polishd.config.table_files import write_tif
+from polishd.config.table_files import tif_bytes
 from polishd.hookspecs import DeviceType
 from polishd.model.errors import ConfigError
 from polishd.model.process import HybridRobot, MeasuredCompliance, MeasuredTif, SerialRobot
@@ -146,7 +146,7 @@ def test_programs_of_tools_lie_where_the_cell_says(tmp_path: Path) -> None:
 def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None:
     rate = np.zeros((9, 9))
     rate[2:7, 2:7] = 30.0
-    write_tif(tmp_path / "spot.npz", MeasuredTif(rate, 0.4, 30.0, 0.9))
+    (tmp_path / "spot.npz").write_bytes(tif_bytes(MeasuredTif(rate, 0.4, 30.0, 0.9)))
     places = "\n".join(f"{x},{y},2315,{1.0 + x / 1000}" for x in (200, 400) for y in (100, 340))
     (tmp_path / "load.csv").write_text(f"x_mm,y_mm,z_mm,compliance_um_per_n\n{places}\n")
     process = {"removal_model": "measured_tif", "tif": "spot.npz", "force_n": 9.0}

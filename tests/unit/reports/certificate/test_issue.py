@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import stat
@@ -233,12 +234,10 @@ def test_a_disk_that_is_full_leaves_neither(
     out = tmp_path / "out"
     out.mkdir()
 
-    def full(path: Path, content: bytes) -> None:
-        if path.suffix == ".json":
-            raise OSError(28, "No space left on device")
-        path.write_bytes(content)
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(issue, "write_atomic", full)
+    monkeypatch.setattr(os, "fsync", full)
     monkeypatch.setattr(issue, "_drawn", lambda drawn, signed_by: (b"%PDF", 1))
     said = polishd("certificate", "make", whole, "--out", out / "c.pdf")
     assert said.code == 3
