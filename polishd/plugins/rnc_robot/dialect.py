@@ -47,7 +47,9 @@ def _shipped(name: str) -> AnyDialect:
 def _of_file(path: Path) -> AnyDialect:
     content, sources = _content(path, ())
     source = TomlSource(sources[-1].file, sources[-1].text, included=sources)
-    return validated(LanguageProfile if content.get("kind") == "template" else GcodeDialect, content, source)
+    if content.get("kind") == "template":
+        return validated(LanguageProfile, content, source)
+    return validated(GcodeDialect, content, source)
 
 
 def _content(path: Path, below: tuple[Path, ...]) -> tuple[dict[str, Any], tuple[TomlSource, ...]]:
