@@ -186,7 +186,7 @@ def test_an_ending_in_capitals(polishd: Polishd, source: Path) -> None:
 def test_a_folder_that_is_not_there(polishd: Polishd, source: Path) -> None:
     said = polishd("map", "convert", source, source.parent / "none" / "out.dat")
     assert said.code == 3
-    assert "cannot be written" in said.err
+    assert "none: is not a folder; make it" in said.err
 
 
 def test_a_source_that_is_no_map(polishd: Polishd, tmp_path: Path) -> None:
