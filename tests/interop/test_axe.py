@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.interop.peers import NODE_MODULES, Peer
-from tests.screenshots.camera import OPTIONS, aim
 from tests.screenshots.frozen_cell import frozen_server
 from tests.screenshots.scenes import DASHBOARD, SCENES, asked
-from tests.system.browser import Page, browsing
+from tests.system.browser import Page, browsing, each_browser
 
 PEER = Peer("axe-core", "the page", "judge of accessibility", "npm", "axe-core")
 pytestmark = PEER.needed
@@ -43,10 +42,11 @@ def axe() -> str:
     return (NODE_MODULES / "axe-core" / "axe.min.js").read_text()
 
 
+@each_browser
 @pytest.mark.parametrize("scene", VIEWS)
-def test_no_view_has_a_fault(tmp_path: Path, axe: str, scene: str) -> None:
+def test_no_view_has_a_fault(tmp_path: Path, axe: str, scene: str, browser: str) -> None:
     found: dict[str, list[str]] = {}
-    with frozen_server(tmp_path, SCENES[scene]) as server, browsing(tmp_path / "browser", *OPTIONS) as page:
+    with frozen_server(tmp_path, SCENES[scene]) as server, browsing(tmp_path / "b", browser=browser) as page:
         page.go(server.url)
         page.until("!document.getElementById('sign-in').hidden")
         page.run(axe)
@@ -55,7 +55,7 @@ def test_no_view_has_a_fault(tmp_path: Path, axe: str, scene: str) -> None:
         for view in VIEWS[scene]:
             for width, height in SIZES:
                 for scheme in ("light", "dark"):
-                    aim(page, width, height, scheme)
+                    page.aim(width, height, scheme)
                     server.show(page, view)
                     page.until(READY.get(view, "document.querySelectorAll('#view *').length > 10"))
                     page.run(axe)

@@ -9,7 +9,7 @@ from pathlib import Path
 from tests.screenshots.camera import OPTIONS, SIZES, Camera
 from tests.screenshots.frozen_cell import frozen_server
 from tests.screenshots.scenes import NIGHT, SCENES, VIEWS, Shot
-from tests.system import browser
+from tests.system import browser_page
 from tests.system.browser import browsing
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "images" / "page"
@@ -19,7 +19,7 @@ MOST_BYTES = 1_500_000
 
 def main(names: list[str]) -> int:
     """Make the pictures; 1 where they take too much room."""
-    browser.SOON_S = 40.0  # a picture that does not come lacks something: say it soon
+    browser_page.SOON_S = 40.0  # a picture that does not come lacks something: say it soon
     OUT.mkdir(parents=True, exist_ok=True)
     for scene, shots in _by_scene(set(names)).items():
         with (

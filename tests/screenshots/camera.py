@@ -13,8 +13,6 @@ from tests.system.browser import Page
 
 SIZES = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (390, 844, "light")}
 """Width and height in CSS pixels, and colors."""
-PHONE_PX = 800
-"""Widths below it are those of a phone."""
 COLORS = 64
 """Of a picture: text stays sharp, and a picture has some 40 kB."""
 FREEZE = """
@@ -51,7 +49,7 @@ class Camera:
     def aim(self, size: str) -> None:
         """Set one of ``SIZES``."""
         width, height, scheme = SIZES[size]
-        aim(self.page, width, height, scheme)
+        self.page.aim(width, height, scheme)
 
     def look(self) -> bytes:
         """Return what is shown, as PNG, once two looks are the same."""
@@ -73,11 +71,3 @@ class Camera:
         if not path.exists() or path.read_bytes() != buffer.getvalue():
             path.write_bytes(buffer.getvalue())
         return len(buffer.getvalue())
-
-
-def aim(page: Page, width: int, height: int, scheme: str) -> None:
-    """Set the size of the window, in CSS pixels, and the colors that the system prefers; nothing moves."""
-    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < PHONE_PX}
-    page.call("Emulation.setDeviceMetricsOverride", **metrics)
-    wanted = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce"}
-    page.call("Emulation.setEmulatedMedia", features=[{"name": k, "value": v} for k, v in wanted.items()])

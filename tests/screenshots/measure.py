@@ -18,7 +18,7 @@ from polishd.config.cell import load_config
 from polishd.util.worker_process import process_cpu_s
 from polishd.web.http.static_files import static_files
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.screenshots.camera import OPTIONS, aim
+from tests.screenshots.camera import OPTIONS
 from tests.screenshots.frozen_cell import frozen_server, live
 from tests.screenshots.scenes import DASHBOARD, SCENES
 from tests.system.browser import browsing
@@ -52,7 +52,7 @@ def paint() -> None:
     with tempfile.TemporaryDirectory() as folder, frozen_server(Path(folder), SCENES["polishing"]) as server:
         for number in range(3):
             with browsing(Path(folder) / f"browser-{number}", *OPTIONS) as page:
-                aim(page, 1440, 900, "light")
+                page.aim(1440, 900, "light")
                 server.sign_in(page)
                 page.call("Network.clearBrowserCache")
                 began_s = time.monotonic()

@@ -5,42 +5,34 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.screenshots.camera import aim
 from tests.screenshots.frozen_cell import FrozenServer, frozen_server
 from tests.screenshots.scenes import DASHBOARD, SCENES
-from tests.system.browser import Page, browsing
+from tests.system.browser import BROWSERS, Page, browsing
 from tests.system.sim_rig import wait_for
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
-KEYS = {"Enter": 13, "Escape": 27, "Tab": 9}
 Open = Callable[..., AbstractContextManager[tuple[Page, FrozenServer]]]
 
 
-@pytest.fixture
-def opened(tmp_path: Path) -> Open:
+@pytest.fixture(params=BROWSERS)
+def opened(tmp_path: Path, request: pytest.FixtureRequest) -> Open:
     @contextmanager
     def _open(scene: str, width: int = 1440, height: int = 900) -> Iterator[tuple[Page, FrozenServer]]:
-        with frozen_server(tmp_path, SCENES[scene]) as server, browsing(tmp_path / "browser") as page:
-            aim(page, width, height, "light")
+        with (
+            frozen_server(tmp_path, SCENES[scene]) as server,
+            browsing(tmp_path / "browser", browser=request.param) as page,
+        ):
+            page.aim(width, height, "light")
             server.sign_in(page)
             page.until(DASHBOARD)
             yield page, server
             assert page.problems == []
 
     return _open
-
-
-def key(page: Page, name: str) -> None:
-    """Press a key as a person does."""
-    text = {"text": "\r"} if name == "Enter" else {}
-    code: dict[str, Any] = {"key": name, "code": name, "windowsVirtualKeyCode": KEYS[name]}
-    page.call("Input.dispatchKeyEvent", type="keyDown", **code, **text)
-    page.call("Input.dispatchKeyEvent", type="keyUp", **code)
 
 
 def orders(server: FrozenServer) -> list[str]:
@@ -87,11 +79,11 @@ def test_hold_is_one_tap_and_stop_holds_at_that_tap_before_it_asks(opened: Open)
         page.press("stop")
         page.until("document.getElementById('confirm').open")
         wait_for(lambda: orders(server) == ["hold", "hold"], "leaving the part at the tap")
-        key(page, "Escape")
+        page.key("Escape")
         page.until("!document.getElementById('confirm').open")
         page.press("stop")
         page.until("document.activeElement.id === 'confirm-yes'")
-        key(page, "Enter")
+        page.key("Enter")
         wait_for(lambda: orders(server) == ["hold", "hold", "hold", "stop"], "the end of the run")
 
 
@@ -99,12 +91,12 @@ def test_resume_asks_and_its_reason_and_keys_reach_the_daemon(opened: Open) -> N
     with opened("held") as (page, server):
         page.press("resume")
         page.until("document.activeElement.id === 'confirm-yes'")
-        key(page, "Escape")
+        page.key("Escape")
         page.until("!document.getElementById('confirm').open")
         assert orders(server) == []
         page.press("resume")
         page.run("document.getElementById('reason').value = 'cable'; document.getElementById('reason').focus()")
-        key(page, "Enter")
+        page.key("Enter")
         wait_for(lambda: orders(server) == ["resume"], "the order")
         assert server.daemon is not None
         assert ("resume", {"reason": "cable", "by": "anna (web)"}) in server.daemon.asked
@@ -124,7 +116,7 @@ def test_an_alarm_sounds_until_it_is_silenced_and_the_sound_can_be_tested_and_sw
         page.until("![...document.querySelectorAll('#alarm-line button')].some((one) => one.textContent === 'Silence')")
         page.press("settings-button")
         page.run("document.getElementById('sound-test').focus()")
-        key(page, "Enter")  # a click by a script is no gesture, which a browser wants before it plays
+        page.key("Enter")  # a click by a script is no gesture, which a browser wants before it plays
         page.until("document.getElementById('sound-said').textContent.startsWith('Three tones')")
         page.press("sound-button")
         assert page.run("localStorage.getItem('polishd.sound')") == "off"
@@ -133,7 +125,7 @@ def test_an_alarm_sounds_until_it_is_silenced_and_the_sound_can_be_tested_and_sw
 def test_the_theme_follows_the_system_until_it_is_chosen_and_the_choice_stays(opened: Open) -> None:
     with opened("polishing") as (page, server):
         assert page.run("document.documentElement.dataset.theme") == "light"
-        aim(page, 1440, 900, "dark")
+        page.aim(1440, 900, "dark")
         page.until("document.documentElement.dataset.theme === 'dark'")
         page.press("settings-button")
         page.run("[...document.querySelectorAll('#theme button')].find((one) => one.textContent === 'Light').click()")
@@ -145,7 +137,7 @@ def test_every_tab_and_order_is_reached_by_the_tab_key(opened: Open) -> None:
     with opened("held") as (page, _):
         reached = set()
         for _ in range(40):
-            key(page, "Tab")
+            page.key("Tab")
             reached.add(page.run("document.activeElement.id || document.activeElement.hash || ''"))
         assert {
             "#dashboard",

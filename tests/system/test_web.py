@@ -20,7 +20,7 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, write_demo
 from polishd.config.cell import load_config
 from polishd.web.http.users import Role, UserFile, users_path
 from tests.patience import SOON_S
-from tests.system.browser import Page, browsing
+from tests.system.browser import Page, browsing, each_browser
 from tests.system.cell_rig import Daemon, small_cell, with_keys
 from tests.system.sim_rig import wait_for
 from tests.unit.web.served import Answers, answering
@@ -79,12 +79,13 @@ HOLD_BECAUSE = """fetch('/api/session').then((one) => one.json()).then((session)
 """Hold as another page orders it, with a reason."""
 
 
-def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path: Path) -> None:
+@each_browser
+def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path: Path, browser: str) -> None:
     with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=4) as files:
         part = "<img src=x onerror=alert(1)>"
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
         token = UserFile(users_path(load_config(files.cell))).add("anna", Role.OPERATE)
-        with web_of(files) as url, browsing(tmp_path / "browser") as page:
+        with web_of(files) as url, browsing(tmp_path / "browser", browser=browser) as page:
             signed_in(page, url, token)
             page.until("document.getElementById('lost').textContent.includes('NO DAEMON')")
             with Daemon(files) as daemon:
@@ -182,8 +183,9 @@ def test_a_page_that_is_left_open_for_an_hour_keeps_its_memory(tmp_path: Path) -
     assert ended[1] < begun[1] + 1000, (begun, ended)  # some wait to be collected; a leak is one or more a look
 
 
-def test_the_servers_own_end_is_seen_too(tmp_path: Path) -> None:
-    with small_cell(tmp_path / "cell") as files, browsing(tmp_path / "browser") as page:
+@each_browser
+def test_the_servers_own_end_is_seen_too(tmp_path: Path, browser: str) -> None:
+    with small_cell(tmp_path / "cell") as files, browsing(tmp_path / "browser", browser=browser) as page:
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
         token = UserFile(users_path(load_config(files.cell))).add("anna", Role.WATCH)
         with web_of(files) as url:

@@ -16,15 +16,14 @@ from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
 from polishd.rendering.scales import DIVERGING
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.system.browser import Page, browsing
+from tests.system.browser import Page, browsing, each_browser
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, signed_in, web_of
 from tests.unit.web.served import Answers, answering
 from tests.unit.web.test_maps import PITCH, SPIKE, X, Y, fill, plan, surface
 
-pytestmark = [pytest.mark.system, pytest.mark.full]
+pytestmark = [pytest.mark.system, pytest.mark.full, each_browser]
 
-KEYS = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Home": 36, "0": 48, "+": 187, "-": 189}
 READ = "document.querySelector('.m-read').textContent"
 FACTS = "[...document.querySelectorAll('.m-facts dl > *')].map((one) => one.textContent).join(' ')"
 INK = """(() => {{ const canvas = document.querySelector('{}'), one = document.createElement('canvas');
@@ -65,11 +64,6 @@ class Maps:
     page: Page
     daemon: Answers
 
-    def key(self, name: str, *, shift: bool = False) -> None:
-        more = {"key": name, "code": name, "windowsVirtualKeyCode": KEYS[name], "modifiers": 8 if shift else 0}
-        for kind in ("rawKeyDown", "keyUp"):
-            self.page.call("Input.dispatchKeyEvent", type=kind, **more)
-
     def goes_to(self, name: str, ready: str) -> None:
         self.page.run(f"location.hash = '{name}'")
         self.page.until(ready)
@@ -90,13 +84,17 @@ class Maps:
 
 
 @contextmanager
-def maps(folder: Path) -> Iterator[Maps]:
+def maps(folder: Path, browser: str) -> Iterator[Maps]:
     files = write_demo(folder / "cell", None, 2.0, 4, None)
     files.cell.write_text(with_keys(files.cell.read_text(), FREE))
     config = load_config(files.cell)
     token = UserFile(users_path(config)).add("anna", Role.WATCH)
     fill(config.state_dir)
-    with answering(config.state_dir) as daemon, web_of(files) as url, browsing(folder / "browser") as page:
+    with (
+        answering(config.state_dir) as daemon,
+        web_of(files) as url,
+        browsing(folder / "browser", browser=browser) as page,
+    ):
         daemon.live |= {"job": "demo", "part": "P", "cycle": 1, "phase": "solve", "pressing": False, "leaving": "",
                         "approval": "", "ages_s": {}, "unsafe": []}  # fmt: skip
         signed_in(page, url, token)
@@ -109,8 +107,8 @@ def reading(x: float, y: float, z: float) -> str:
     return f"x {x:.2f}   y {y:.2f} mm   z {z:.2f} nm".replace("-", "\u2212")
 
 
-def test_the_map_has_the_colors_of_the_reports_and_reads_out_its_samples(tmp_path: Path) -> None:
-    with maps(tmp_path) as shown:
+def test_the_map_has_the_colors_of_the_reports_and_reads_out_its_samples(tmp_path: Path, browser: str) -> None:
+    with maps(tmp_path, browser) as shown:
         page = shown.page
         shown.goes_to("maps?cycle=0", f"{READ}.includes('nm')")
         height, limit = (
@@ -127,53 +125,49 @@ def test_the_map_has_the_colors_of_the_reports_and_reads_out_its_samples(tmp_pat
             assert spot[3] == 255
         assert page.run(DRAWN % "[[0, 44], [50, 50]]")[0][3] == 0, "outside the clear aperture"
         page.run("document.querySelector('.m-map').focus()")
-        shown.key("Home")
+        page.key("Home")
         page.until(f"{READ}.startsWith('x 0.00   y 0.00')")
-        shown.key("ArrowRight")
-        shown.key("ArrowUp", shift=True)
+        page.key("ArrowRight")
+        page.key("ArrowUp", shift=True)
         page.until(f"{READ}.startsWith('x 5.00   y ')")
-        shown.key("Home")
+        page.key("Home")
         for _ in range(2):
-            shown.key("ArrowDown")
+            page.key("ArrowDown")
         page.until(f"{READ} === '{reading(0.0, -2 * PITCH, 10.0 * 0.5)}'")
         for kind in ("predicted", "removal", "dwell", "gamma", "residual"):
             shown.changes(".m-map", lambda kind=kind: shown.chooses(kind))
         shown.goes_to("maps", f"{FACTS}.includes('PV')")
 
 
-def test_the_map_is_zoomed_by_keys_wheel_and_two_fingers_and_says_what_is_missing(tmp_path: Path) -> None:
-    with maps(tmp_path) as shown:
+def test_the_map_is_zoomed_by_keys_wheel_and_two_fingers_and_says_what_is_missing(tmp_path: Path, browser: str) -> None:
+    with maps(tmp_path, browser) as shown:
         page = shown.page
         shown.goes_to("maps?cycle=1", f"{READ}.includes('nm')")
         page.run("document.querySelector('.m-map').focus()")
-        shown.changes(".m-map", lambda: shown.key("+"))
+        shown.changes(".m-map", lambda: page.key("+"))
         page.until(f"{FACTS}.endsWith('1.3 ×') || {FACTS}.endsWith('1.2 ×')")
-        shown.key("0")
+        page.key("0")
         page.until(f"{FACTS}.endsWith('1.0 ×')")
         x, y = shown.middle(".m-map")
-        page.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=-400)
+        page.wheel(x, y, -400)
         page.until(f"{FACTS}.endsWith('2.2 ×')")
-        page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x - 60, y=y - 30)
+        page.mouse("move", x - 60, y - 30)
         page.until(f"!{READ}.startsWith('x 0.00')")
-        shown.key("0")
-        page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
-        for kind, apart in (("touchStart", 20), ("touchMove", 40), ("touchMove", 60)):
-            points = [{"x": x - apart, "y": y, "id": 1}, {"x": x + apart, "y": y, "id": 2}]
-            page.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
-        page.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        page.key("0")
+        page.pinch(x, y, (20, 40, 60))
         page.until(f"{FACTS}.endsWith('3.0 ×')")
         shown.chooses("residual")
         page.until("document.querySelector('.m-message').textContent.includes('no measurement after pass 1 yet')")
 
 
-def test_the_surface_is_drawn_turned_and_missed_where_there_is_no_webgl(tmp_path: Path) -> None:
-    with maps(tmp_path) as shown:
+def test_the_surface_is_drawn_turned_and_missed_where_there_is_no_webgl(tmp_path: Path, browser: str) -> None:
+    with maps(tmp_path, browser) as shown:
         page = shown.page
         mesh = ".m-stage canvas"
         shown.goes_to("maps?cycle=0&look=solid", f"{INK.format(mesh)}[0] > 20000")
         page.run("document.querySelector('.m-stage canvas:last-of-type').focus()")
-        shown.changes(mesh, lambda: shown.key("ArrowLeft"))
-        shown.changes(mesh, lambda: shown.key("+"))
+        shown.changes(mesh, lambda: page.key("ArrowLeft"))
+        shown.changes(mesh, lambda: page.key("+"))
         shown.changes(mesh, lambda: shown.chooses("removal"))
         page.until("/Vertical exaggeration: [0-9,]+ ×/.test(document.querySelector('.m-view').textContent)")
         shown.goes_to("queue", "!document.querySelector('.m-view')")
@@ -181,8 +175,8 @@ def test_the_surface_is_drawn_turned_and_missed_where_there_is_no_webgl(tmp_path
         shown.goes_to("maps", "document.querySelector('.m-message')?.textContent.includes('no WebGL 2')")
 
 
-def test_the_cell_shows_the_robot_at_the_block_that_it_has_executed(tmp_path: Path) -> None:
-    with maps(tmp_path) as shown:
+def test_the_cell_shows_the_robot_at_the_block_that_it_has_executed(tmp_path: Path, browser: str) -> None:
+    with maps(tmp_path, browser) as shown:
         page, picture = shown.page, ".m-stage canvas"
         blocks = plan()["block"]
         shown.goes_to("cell", f"{INK.format(picture)}[0] > 3000")
@@ -190,7 +184,7 @@ def test_the_cell_shows_the_robot_at_the_block_that_it_has_executed(tmp_path: Pa
         for view in ("top", "side", "free", "part"):
             shown.changes(picture, lambda view=view: shown.chooses(view))
         page.run("document.querySelector('.m-stage canvas').focus()")
-        shown.changes(picture, lambda: shown.key("ArrowRight"))
+        shown.changes(picture, lambda: page.key("ArrowRight"))
         robot = {"state": "running", "executed": int(blocks[300]), "buffer_s": 3.0, "age_s": 0.1}
         shown.daemon.live |= {"phase": "run", "pressing": True, "readings": {"robot": robot}}
         page.until(f"{FACTS}.includes('Block {blocks[300]} ') && {FACTS}.includes('tool on the part')")

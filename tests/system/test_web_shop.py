@@ -16,18 +16,17 @@ from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.queue.queue import Queue
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.system.browser import Page, browsing
+from tests.system.browser import Page, browsing, each_browser
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, signed_in, web_of
 from tests.unit.web.filled import shop_cell
 from tests.unit.web.served import Answers, answering
 
-pytestmark = [pytest.mark.system, pytest.mark.full]
+pytestmark = [pytest.mark.system, pytest.mark.full, each_browser]
 
 ORDER = "[...document.querySelectorAll('#queue-waiting [data-job]')].map((one) => one.dataset.job).join(' ')"
 GRIP = "document.querySelector('[data-job=\"{}\"] [data-what=grip]')"
 READINGS = "performance.getEntriesByType('resource').filter((one) => one.name.endsWith('/api/queue')).length"
-KEYS = {"ArrowUp": 38, "ArrowDown": 40, "End": 35, "Home": 36}
 
 
 @dataclass
@@ -37,10 +36,6 @@ class Shop:
     page: Page
     daemon: Answers
     program: str
-
-    def key(self, name: str) -> None:
-        for kind in ("keyDown", "keyUp"):
-            self.page.call("Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=KEYS[name])
 
     def goes_to(self, name: str, ready: str) -> None:
         self.page.run(f"location.hash = '{name}'")
@@ -61,13 +56,17 @@ def queue_of(config: CellConfig, verb: str, args: dict[str, Any]) -> None:
 
 
 @contextmanager
-def shop(folder: Path, role: Role = Role.OPERATE) -> Iterator[Shop]:
+def shop(folder: Path, browser: str, role: Role = Role.OPERATE) -> Iterator[Shop]:
     files = write_demo(folder / "cell", None, 2.0, 4, None)
     files.cell.write_text(with_keys(files.cell.read_text(), FREE))
     config = load_config(files.cell)
     token = UserFile(users_path(config)).add("anna", role)
     program = shop_cell(config, time.time(), parts=12)
-    with answering(config.state_dir) as daemon, web_of(files) as url, browsing(folder / "browser") as page:
+    with (
+        answering(config.state_dir) as daemon,
+        web_of(files) as url,
+        browsing(folder / "browser", browser=browser) as page,
+    ):
         daemon.does = lambda verb, args: queue_of(config, verb, args)
         daemon.live |= {"approval": program, "job": "lens-2001", "part": "part-lens-2001", "cycle": 1, "phase": "plan",
                         "pressing": False, "leaving": "", "ages_s": {}, "unsafe": []}  # fmt: skip
@@ -76,16 +75,16 @@ def shop(folder: Path, role: Role = Role.OPERATE) -> Iterator[Shop]:
         assert page.problems == []
 
 
-def test_jobs_are_moved_by_keys_and_by_pointer_and_removed_with_a_reason(tmp_path: Path) -> None:
-    with shop(tmp_path) as shown:
+def test_jobs_are_moved_by_keys_and_by_pointer_and_removed_with_a_reason(tmp_path: Path, browser: str) -> None:
+    with shop(tmp_path, browser) as shown:
         page = shown.page
         shown.goes_to("queue", f"{ORDER} === 'lens-2002 lens-2003 mirror-7 mirror-8'")
         page.until(f"!{GRIP.format('lens-2002')}.disabled")
         page.run(f"{GRIP.format('lens-2002')}.focus()")
-        shown.key("ArrowDown")
+        page.key("ArrowDown")
         page.until(f"{ORDER} === 'lens-2003 lens-2002 mirror-7 mirror-8'")
         page.until("document.activeElement.closest('[data-job]')?.dataset.job === 'lens-2002'")
-        shown.key("End")
+        page.key("End")
         page.until(f"{ORDER} === 'lens-2003 mirror-7 mirror-8 lens-2002'")
         assert shown.orders("queue_move")[0] == {
             "job": "lens-2002", "where": "after", "other": "lens-2003", "by": "anna (web)",
@@ -95,12 +94,12 @@ def test_jobs_are_moved_by_keys_and_by_pointer_and_removed_with_a_reason(tmp_pat
             "{ const box = one.getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; }))"
         )
         (x, first), (_, second) = json.loads(where)[:2]
-        for kind, y in (("mousePressed", first), ("mouseMoved", second), ("mouseMoved", second + 4)):
-            page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+        for what, y in (("move", first), ("down", first), ("move", second), ("move", second + 4)):
+            page.mouse(what, x, y)
         before = page.run(READINGS)
         page.run("location.hash = 'queue?job=lens-2003'")  # the queue is read anew, as after an order from another page
         page.until(f"{READINGS} > {before}")
-        page.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=second + 4, button="left", clickCount=1)
+        page.mouse("up", x, second + 4)
         page.until(f"{ORDER} === 'mirror-7 lens-2003 mirror-8 lens-2002'")
         page.run("document.querySelector('[data-job=mirror-8] [data-what=remove]').click()")
         page.until("document.getElementById('confirm').open")
@@ -110,9 +109,9 @@ def test_jobs_are_moved_by_keys_and_by_pointer_and_removed_with_a_reason(tmp_pat
         assert shown.orders("queue_remove") == [{"job": "mirror-8", "reason": "a chip", "by": "anna (web)"}]
 
 
-def test_the_button_approves_only_the_plan_whose_figures_are_shown(tmp_path: Path) -> None:
+def test_the_button_approves_only_the_plan_whose_figures_are_shown(tmp_path: Path, browser: str) -> None:
     ready = "document.getElementById('approve-run') && !document.getElementById('approve-run').disabled"
-    with shop(tmp_path) as shown:
+    with shop(tmp_path, browser) as shown:
         page = shown.page
         shown.goes_to("approve", ready)
         text = page.run("document.getElementById('approve-figures').innerText")
@@ -132,8 +131,8 @@ def test_the_button_approves_only_the_plan_whose_figures_are_shown(tmp_path: Pat
         assert shown.orders("approve") == [{"program_sha256": shown.program, "by": "anna (web)"}]
 
 
-def test_two_parts_are_compared_and_one_is_shown(tmp_path: Path) -> None:
-    with shop(tmp_path) as shown:
+def test_two_parts_are_compared_and_one_is_shown(tmp_path: Path, browser: str) -> None:
+    with shop(tmp_path, browser) as shown:
         page = shown.page
         shown.goes_to("history", "document.querySelectorAll('#history-parts tbody tr').length === 13")
         page.until("document.querySelectorAll('#weeks-parts canvas').length === 1")
@@ -155,8 +154,8 @@ def test_two_parts_are_compared_and_one_is_shown(tmp_path: Path) -> None:
         )
 
 
-def test_who_may_only_watch_sees_all_and_changes_nothing(tmp_path: Path) -> None:
-    with shop(tmp_path, Role.WATCH) as shown:
+def test_who_may_only_watch_sees_all_and_changes_nothing(tmp_path: Path, browser: str) -> None:
+    with shop(tmp_path, browser, Role.WATCH) as shown:
         page = shown.page
         shown.goes_to("queue", f"{ORDER} === 'lens-2002 lens-2003 mirror-7 mirror-8'")
         page.until("[...document.querySelectorAll('.grip, .job-tools button')].every((one) => one.disabled)")
