@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.screenshots.frozen_cell import FrozenServer, frozen_server
-from tests.screenshots.scenes import DASHBOARD, SCENES
+from tests.screenshots.scenes import DASHBOARD, SCENES, Shot, solid
 from tests.system.browser import BROWSERS, Page, browsing
 from tests.system.sim_rig import wait_for
 
@@ -150,3 +150,20 @@ def test_every_tab_and_order_is_reached_by_the_tab_key(opened: Open) -> None:
             "resume",
             "acknowledge",
         } <= reached
+
+
+def test_every_view_is_opened_by_keys_and_drawn_without_a_request_to_elsewhere(opened: Open) -> None:
+    with opened("polishing") as (page, server):
+        for view in ("maps", "cell", "queue", "history", "host", "dashboard"):
+            for _ in range(60):
+                if page.run("document.activeElement.hash") == f"#{view}":
+                    break
+                page.key("Tab", shift=view != "maps")  # back: out of a view that may have hundreds of links
+            page.key("Enter")
+            page.until(f"document.querySelector('#view > .view-{view}')")
+            page.until(Shot(view, "polishing", view).ready)
+            if view == "maps":
+                solid(page)
+                page.until("document.querySelector('.m-view').dataset.ready.endsWith('solid')")
+        assert f"{server.url}api/overview" in page.requests
+        assert [one for one in page.requests if not one.startswith((server.url, "data:", "about:"))] == []
