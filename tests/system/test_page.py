@@ -167,3 +167,13 @@ def test_every_view_is_opened_by_keys_and_drawn_without_a_request_to_elsewhere(o
                 page.until("document.querySelector('.m-view').dataset.ready.endsWith('solid')")
         assert f"{server.url}api/overview" in page.requests
         assert [one for one in page.requests if not one.startswith((server.url, "data:", "about:"))] == []
+
+
+def test_no_view_fails_where_the_server_is_not_reached(opened: Open) -> None:
+    with opened("polishing") as (page, _):
+        page.run("globalThis.fetch = () => Promise.reject(new TypeError('lost')); 0")
+        for view in ("maps", "cell", "queue", "history", "host", "approve", "dashboard"):
+            page.run(f"location.hash = '{view}'")
+            page.until(f"document.querySelector('#view > .view-{view}')")
+        page.press("hold")
+        page.until("document.getElementById('said').textContent.includes('No connection')")

@@ -15,18 +15,21 @@ let stream = null;
 
 for (const one of document.querySelectorAll("[data-text]")) one.textContent = texts[one.dataset.text];
 
+// The answer with its status; status 0 and an error where the server is not reached, or the page is being left.
 async function ask(method, path, body) {
   const headers = { "content-type": "application/json" };
   if (known.session) headers["x-csrf-token"] = known.session.csrf;
-  const answer = await fetch(path, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
-  if (answer.status === 401 && path !== "/api/session") signedOut();
-  return { status: answer.status, ...(await answer.json()) };
+  try {
+    const answer = await fetch(path, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
+    if (answer.status === 401 && path !== "/api/session") signedOut();
+    return { status: answer.status, ...(await answer.json()) };
+  } catch { return { status: 0, ok: false, error: texts.lostPage }; }
 }
 const got = async (path) => { const found = await ask("GET", path); return found.status === 200 ? found : null; };
 
 // what a view may use
 const ctx = {
-  ask, // (method, path, body) -> its answer with `status`
+  ask, // (method, path, body) -> its answer with `status`, which is 0 where the server is not reached
   got, // (path) -> the answer, or null
   session: () => known.session, // { name, role, csrf }
   state: () => known.state, // the last state: { daemon, age_s, live, ending? }
@@ -75,10 +78,10 @@ $("sign-in").addEventListener("submit", async (event) => {
   sound.unlock();
   const said = await ask("POST", "/api/session", { token: $("token").value });
   $("token").value = "";
-  put("sign-in-said", said.status === 200 ? "" : said.status === 429 ? texts.locked : texts.wrongToken);
+  put("sign-in-said", said.status === 200 ? "" : said.status === 0 ? said.error : said.status === 429 ? texts.locked : texts.wrongToken);
   if (said.status === 200) signedIn(said);
 });
-$("sign-out").addEventListener("click", async () => { $("settings").hidePopover(); await ask("DELETE", "/api/session"); signedOut(); });
+$("sign-out").addEventListener("click", async () => { $("settings").hidePopover(); const said = await ask("DELETE", "/api/session"); if (said.status) signedOut(); else say(said.error); });
 
 // the view
 let view = null, viewName = "", entering = 0;
@@ -168,10 +171,11 @@ async function refresh() {
   refreshing = true;
   try {
     do { again = false; await readAll(); } while (again);
-  } catch { known.heard = Math.min(known.heard, performance.now()); } finally { refreshing = false; }
+  } finally { refreshing = false; }
 }
 async function readAll() {
   const [state, jobs, alarms, journal] = await Promise.all(["/api/state", "/api/jobs", "/api/alarms", "/api/journal"].map(got));
+  if (!(state || jobs || alarms || journal)) return; // lost: the shell shows that
   if (state) { known.cell = state.cell; put("cell", state.cell); }
   if (jobs) known.jobs = jobs.jobs;
   if (journal) known.journal = journal.events;
@@ -249,11 +253,9 @@ function say(text) {
 }
 async function order(name, path, body) {
   say(`${name}: ${texts.sent}`);
-  let answer = null;
-  try {
-    answer = await ask("POST", path, body);
-    say(`${name}: ${answer.ok === false ? `${texts.refused}: ${answer.error}` : answer.obeyed === false ? texts.notYet : texts.obeyed}`);
-  } catch { say(`${name}: ${texts.lostPage}`); }
+  const answer = await ask("POST", path, body);
+  const refused = answer.status ? `${texts.refused}: ${answer.error}` : answer.error;
+  say(`${name}: ${answer.ok === false ? refused : answer.obeyed === false ? texts.notYet : texts.obeyed}`);
   refresh();
   return answer;
 }

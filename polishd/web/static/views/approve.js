@@ -22,9 +22,9 @@ export function mount(root, ctx) {
     const program = asked();
     wanted = program;
     if (!program) { drop(); plan = null; body.replaceChildren(made("p", t.none, "empty")); return; }
-    const found = await ctx.ask("GET", `/api/plans/${program}`).catch(() => null);
+    const found = await ctx.ask("GET", `/api/plans/${program}`);
     if (gone || wanted !== program) return;
-    if (found?.status === 200 && found.program_sha256 === program) {
+    if (found.status === 200 && found.program_sha256 === program) {
       tries = 0;
       plan = found;
       draw();
@@ -32,8 +32,8 @@ export function mount(root, ctx) {
     }
     plan = null;
     // the journal may get the plan's event a moment after the state shows that it waits
-    if (found?.status === 404 && tries < TRIES) { tries += 1; timer = setTimeout(read, AGAIN_MS); body.replaceChildren(made("p", t.reading, "empty")); return; }
-    body.replaceChildren(problem(t.failed, found?.error ?? ctx.texts.lostPage, () => { tries = 0; read(); }, t.tryAgain));
+    if (found.status === 404 && tries < TRIES) { tries += 1; timer = setTimeout(read, AGAIN_MS); body.replaceChildren(made("p", t.reading, "empty")); return; }
+    body.replaceChildren(problem(t.failed, found.error, () => { tries = 0; read(); }, t.tryAgain));
   }
 
   const ready = () => Boolean(plan?.figures) && plan.program_sha256 === asked() && ctx.link() === "up" && ctx.mayOperate();
@@ -50,7 +50,7 @@ export function mount(root, ctx) {
     if (!ready() || !(await ctx.confirm(...asking(mine), { yes: t.approve }))) return;
     if (mine !== plan || !ready()) return; // another plan waits by now: look at that one first
     const answer = await ctx.order(ctx.texts.approve, "/api/approve", { program_sha256: mine.program_sha256 });
-    if (answer?.ok && location.hash === "#approve") ctx.go("dashboard");
+    if (answer.ok && location.hash === "#approve") ctx.go("dashboard");
   }
   const asking = (one) => { const [title, ...lines] = t.ask(one.cycle, duration(one.figures.dwell_s)); return [title, lines]; };
 

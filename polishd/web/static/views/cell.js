@@ -50,7 +50,7 @@ export function mount(root, ctx) {
     const key = JSON.stringify([ctx.job(), now.cycle, list.find((one) => one.cycle === now.cycle)?.run?.began_s]);
     if (known.cell && known.key === key) return;
     const found = list.length ? await ctx.ask("GET", `/api/jobs/${ctx.job()}/cycles/${now.cycle}/cell`) : { status: 404, error: texts.noPlan };
-    if (ended || turn !== known.asked) return;
+    if (ended || turn !== known.asked || !found.status) return;
     known.key = key;
     const before = known.cell?.robot;
     known.cell = found.status === 200 ? found : null;

@@ -107,10 +107,10 @@ export function mount(root, ctx) {
     try {
       const found = await ctx.got("/api/overview");
       if (found && !gone) { overview = found; heardMs = performance.now(); showLimits(); }
-    } catch { /* the shell shows a lost server */ } finally { reading = false; }
+    } finally { reading = false; }
   }
   async function readSamples() {
-    const found = await ctx.got("/api/readings").catch(() => null);
+    const found = await ctx.got("/api/readings");
     if (!found || gone) return;
     const from = Date.now() / 1000 - WINDOW_S;
     const rows = found.rows.filter((row) => row[0] > from && (samples[0].length === 0 || row[0] < samples[0][0]));
@@ -121,8 +121,8 @@ export function mount(root, ctx) {
     if (job === null || !last) { map = null; drawMap(); return; }
     const wanted = kind.value, cycle = wanted === "before" ? cycles[0].cycle : wanted === "measured" ? last.cycle : planned?.cycle;
     if (cycle === undefined) { map = null; put(mapSaid, t.noPlan); drawMap(); return; }
-    map = await ctx.got(`/api/jobs/${job}/cycles/${cycle}/map/${wanted === "before" ? "measured" : wanted}?px=256&encoding=float32`).catch(() => null);
-    plan = planned ? await ctx.got(`/api/jobs/${job}/cycles/${planned.cycle}/plan`).catch(() => null) : null;
+    map = await ctx.got(`/api/jobs/${job}/cycles/${cycle}/map/${wanted === "before" ? "measured" : wanted}?px=256&encoding=float32`);
+    plan = planned ? await ctx.got(`/api/jobs/${job}/cycles/${planned.cycle}/plan`) : null;
     if (gone) return;
     const rms = wanted === "before" ? cycles[0].measured.rms_nm : wanted === "measured" ? last.measured.rms_nm : wanted === "predicted" ? planned?.run.predicted_rms_nm : null;
     put(mapSaid, map ? [rms ? `RMS ${figure(rms)} nm` : "", t.range(figure(map.low), figure(map.high))].filter(Boolean).join(", ") : t.noMap);
@@ -131,7 +131,7 @@ export function mount(root, ctx) {
   async function readPsd() {
     const job = ctx.job(), cycles = ctx.cycles();
     if (job === null || !cycles.length) { psd = null; return; }
-    const of = (cycle) => ctx.got(`/api/jobs/${job}/cycles/${cycle}/psd`).catch(() => null);
+    const of = (cycle) => ctx.got(`/api/jobs/${job}/cycles/${cycle}/psd`);
     const last = await of(cycles.at(-1).cycle), first = cycles.length > 1 ? await of(cycles[0].cycle) : null;
     psd = last ? { first, last } : null;
     if (!gone) showPsd();

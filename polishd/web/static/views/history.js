@@ -42,9 +42,9 @@ export function mount(root, ctx) {
   async function table(key) {
     const mine = ++reads;
     if (!controls || !root.contains(controls.root)) { controls = makeControls(); root.replaceChildren(controls.root); }
-    const [found, weeks] = await Promise.all([ctx.ask("GET", `/api/history?${query(true)}`), ctx.got(`/api/history/weeks?${query(false)}`)]).catch(() => [null, null]);
+    const [found, weeks] = await Promise.all([ctx.ask("GET", `/api/history?${query(true)}`), ctx.got(`/api/history/weeks?${query(false)}`)]);
     if (mine !== reads || shownKey !== key) return;
-    if (!found || found.status !== 200) { controls.table.replaceChildren(problem(t.notLoaded, found?.error)); return; }
+    if (found.status !== 200) { controls.table.replaceChildren(problem(t.notLoaded, found.error)); return; }
     if (same([filter, found, weeks])) return;
     page = found;
     drawTable();
@@ -174,8 +174,8 @@ export function mount(root, ctx) {
 
   // one part
   async function load(number) {
-    const found = await ctx.ask("GET", `/api/jobs/${number}`).catch(() => null);
-    return found?.status === 200 ? [found, ""] : [null, found?.error ?? ctx.texts.lostPage];
+    const found = await ctx.ask("GET", `/api/jobs/${number}`);
+    return found.status === 200 ? [found, ""] : [null, found.error];
   }
   const backLink = () => { const one = made("a", `← ${t.back}`, "back"); one.href = "#history"; return one; };
   async function part(number, key) {

@@ -48,7 +48,7 @@ export function mount(root, ctx) {
     update: show,
     async refresh() {
       show();
-      certificate = (await ctx.got("/api/health").catch(() => null))?.certificate ?? null;
+      certificate = (await ctx.got("/api/health"))?.certificate ?? null;
       show();
     },
   };

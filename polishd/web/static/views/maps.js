@@ -79,7 +79,7 @@ export function mount(root, ctx) {
     if (known.map && known.key === key) return;
     const found = await ctx.ask("GET", `${at(now.cycle)}/map/${now.kind}?encoding=float32`);
     if (now.ends === "first" && known.first?.job !== ctx.job()) known.first = { job: ctx.job(), scale: (await ctx.got(`${at(list[0].cycle)}/map/measured?px=8`))?.scale };
-    if (ended || turn !== known.asked) return;
+    if (ended || turn !== known.asked || !found.status) return;
     const other = known.map && (known.map.nx !== found.nx || known.map.pitch_mm !== found.pitch_mm);
     known.key = key;
     known.map = found.status === 200 ? decodeMap(found) : null;

@@ -22,7 +22,7 @@ export function mount(root, ctx) {
   const shown = () => queue?.jobs.find((one) => one.name === chosen) ?? null;
 
   async function read() {
-    const found = await ctx.got("/api/queue").catch(() => null);
+    const found = await ctx.got("/api/queue");
     failed = found === null;
     if (found) queue = found;
     draw();
@@ -48,7 +48,7 @@ export function mount(root, ctx) {
     const order = waiting().filter((each) => each !== one);
     const at = where === "first" ? 0 : where === "last" ? order.length : order.findIndex((each) => each.name === other) + (where === "after" ? 1 : 0);
     const answer = await ctx.order(t.move, "/api/queue/move", { job: one.name, where, other: other ?? "" });
-    if (answer?.ok) put(announce, t.moved(one.name, at + 1, order.length + 1));
+    if (answer.ok) put(announce, t.moved(one.name, at + 1, order.length + 1));
     await read();
   }
   function shift(one, by) {

@@ -123,7 +123,7 @@ function drawLevel(one, { value, text }) {
 // Maps of jobs on canvases with one range of colors. `wanted`: [{ path, label, note }], path below /api/jobs.
 export async function maps(ctx, wanted, { missing, signed = true }) {
   const { drawHeightMap } = await import("/maps/height_map.js");
-  const datas = await Promise.all(wanted.map((one) => ctx.got(`/api/jobs/${one.path}?px=160&encoding=float32`).catch(() => null)));
+  const datas = await Promise.all(wanted.map((one) => ctx.got(`/api/jobs/${one.path}?px=160&encoding=float32`)));
   const ends = datas.filter((one) => one?.scale).map((one) => one.scale);
   const scale = ends.length ? [Math.min(...ends.map((one) => one[0])), Math.max(...ends.map((one) => one[1]))] : [0, 1];
   const figures = wanted.map((one, n) => {
