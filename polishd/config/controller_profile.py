@@ -29,7 +29,8 @@ class Variable(ConfigSection):
 
     address: Text
     """Its address: a node (`ns=2;s=...`, `nsu=URI;s=...`) for opcua, a symbol (`MAIN.state`) for ads, a register
-    (`holding:40`, `input:7`, `coil:3`, `discrete:0`) for modbus."""
+    (`holding:40`, `input:7`, `coil:3`, `discrete:0`) for modbus, a variable (`D010`) or a word of the controller
+    (`job.line`) for hses."""
     type: Kind
     """Its data type. Modbus has no `string`."""
 
@@ -190,6 +191,9 @@ class ProgramTable(ConfigSection):
     """Step of the time in `dwell`, which is a multiple of it."""
     end: str = "M2"
     """Line after a program without M2, M30 or a closing `%`. Empty: none, as in languages other than G-code."""
+    last: str = ""
+    """Last line of every program in a language other than G-code, such as END. Without `done` polishd adds a pause
+    before it. Empty: the end is seen by `done`."""
     line_end: Literal["lf", "crlf"] = "lf"
     """End of the file's lines."""
     longest_line: Annotated[int, Field(ge=8, le=65535)] = 250
@@ -211,7 +215,7 @@ class ControllerProfile(TomlDocument):
 
     name: Text
     """Name of the controller, for messages."""
-    link: Literal["opcua", "ads", "modbus"]
+    link: Literal["opcua", "ads", "modbus", "hses"]
     """Protocol of its variables."""
     report_ms: Milliseconds
     """Period at which it updates its line and state."""
@@ -240,9 +244,10 @@ class ControllerProfile(TomlDocument):
 
     @model_validator(mode="after")
     def _watched(self) -> Self:
-        if not self.program.end and not self.variables.state.done:
+        if not (self.program.end or self.program.last or self.variables.state.done):
             raise ValueError(
-                "program.end: is empty, so the end of a program must be visible; add done = [...] to [variables.state]"
+                "program.end: is empty, so the end of a program must be visible; add done = [...] to "
+                "[variables.state], or program.last"
             )
         if (self.watchdog_s is None) != (self.variables.heartbeat is None):
             raise ValueError("watchdog_s: set it together with [variables.heartbeat], or leave out both")

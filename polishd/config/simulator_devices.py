@@ -57,9 +57,12 @@ class Artefact(ConfigSection):
 class SimRobotSection(ConfigSection):
     """The robot controller."""
 
-    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus", "abb_rws", "kuka_kvp"] = "link"
+    kind: Literal["link", "linuxcnc", "universal_robots", "opcua", "ads", "modbus", "hses", "abb_rws", "kuka_kvp"] = (
+        "link"
+    )
     """``linuxcnc``: a real LinuxCNC, in real time, in a separate network (docs/protocols/linuxcnc.md). ``opcua``,
-    ``ads``, ``modbus``: a PLC that loads files from ``programs`` of the state folder (docs/protocols/plc_robot.md).
+    ``ads``, ``modbus``, ``hses``: a PLC that loads files from ``programs`` of the state folder
+    (docs/protocols/plc_robot.md).
     ``abb_rws``: an ABB controller with Robot Web Services. ``kuka_kvp``: a KUKA controller behind
     C3 Bridge; it loads files from ``programs``, too (docs/protocols/kuka_kvp.md)."""
     port: Port = 28500

@@ -10,7 +10,7 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from polishd.drivers.plc_robot.variables import VariableSnapshot, of_kind, watch
 from polishd.drivers.transport.file_delivery import Folder
 from polishd.sim_backends.plc_robot.controller import Plc
 from polishd.sim_backends.plc_robot.device import AMS_PORT, TCP_PORT, AdsServer
+from polishd.sim_backends.plc_robot.hses import HsesServer
 from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.trajectory import Limits
 
@@ -193,6 +194,42 @@ async def serving(
         server.close()
         for one in connections:
             one.abort()
+
+
+class ServedDatagrams(asyncio.DatagramProtocol):
+    """The controller's UDP port, whose answers a test can lose, repeat or change."""
+
+    def __init__(self, server: HsesServer) -> None:
+        self.server = server
+        self.asked: list[bytes] = []
+        """Datagrams that came."""
+        self.out: Callable[[bytes], list[bytes]] = lambda answer: [answer]
+        """Datagrams that go in the place of an answer."""
+        self.into: Callable[[bytes], list[bytes]] = lambda request: [request]
+        """Datagrams that arrive in the place of a request."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.DatagramTransport", transport)  # asyncio's own is no subclass
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        self.asked.append(data)
+        for request in self.into(data):
+            for answer in self.out(self.server.answer(request)):
+                self._transport.sendto(answer, addr)
+
+
+@asynccontextmanager
+async def datagrams(fake: FakePlc) -> AsyncIterator[tuple[int, ServedDatagrams]]:
+    """HSES for the time of the block: its port, and what serves it."""
+    loop = asyncio.get_running_loop()
+    fake.plc.goes_on = False
+    transport, served = await loop.create_datagram_endpoint(
+        lambda: ServedDatagrams(HsesServer(fake.plc)), local_addr=("127.0.0.1", 0)
+    )
+    try:
+        yield transport.get_extra_info("sockname")[1], served
+    finally:
+        transport.close()
 
 
 @asynccontextmanager

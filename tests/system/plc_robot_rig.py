@@ -67,7 +67,7 @@ def running(files: DemoFiles, speed: float) -> Iterator[DemoFiles]:
         yield files
 
 
-LANGUAGES = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
+LANGUAGES = {"inform": "yaskawa-inform", "val3": "staubli-val3", "inform over hses": "yaskawa-hses"}
 """Shipped profiles by the language of their programs."""
 
 
@@ -82,7 +82,9 @@ def write_language_cell(out: Path, language: str, encoding: EncodingOption, **jo
         )
     )
     files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"overhead_s": 0.004}}))  # a move and a wait
-    cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language}"')
+    cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language.partition(" ")[0]}"')
+    if language.endswith("hses"):
+        cell = cell.replace("opc.tcp://", "hses://")
     files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}, "part": {"edge_mm": 1.0}}))
     config = load_config(files.cell)
     config.program_path.write_bytes(language_program(config, encoding))

@@ -74,6 +74,11 @@ def yaskawa(out: Path) -> DemoFiles:
     return plc_robot_rig.write_language_cell(out, "inform", "dwell", tolerance_nm=40.0, max_cycles=3)
 
 
+def yaskawa_hses(out: Path) -> DemoFiles:
+    """The same over the controller's own High-Speed Ethernet Server, which carries no clock: in real time."""
+    return plc_robot_rig.write_language_cell(out, "inform over hses", "dwell", tolerance_nm=40.0, max_cycles=3)
+
+
 def staubli(out: Path) -> DemoFiles:
     """A Staubli controller: VAL3 programs with speeds."""
     return plc_robot_rig.write_language_cell(out, "val3", "feed", tolerance_nm=40.0, max_cycles=3)
@@ -99,7 +104,7 @@ def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
             simulator.communicate(timeout=SOON_S)  # until all that it started is gone
 
 
-@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka, yaskawa, staubli])
+@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka, yaskawa, yaskawa_hses, staubli])
 def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(tmp_path: Path, make: Maker) -> None:
     real = make(tmp_path / "cell")
     before = {path: path.read_bytes() for path in real.out.rglob("*") if path.is_file()}

@@ -14,12 +14,16 @@ from polishd.config.fields import ConfigSection
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.opcua import OpcUa, OpcUaCertificates
 from polishd.drivers.plc_robot.variables import Recorded, RecordedDelivery, Variables
-from polishd.drivers.transport.address import tcp_address
+from polishd.drivers.transport.address import Tcp, tcp_address
 from polishd.drivers.transport.file_delivery import Delivery, Folder, Ftp, RemoteFolder, Sftp
 from polishd.util.extras import require_extra
 from polishd.util.files import SecretPlace, named_path, require_private
 
 # The keys of ``[robot]`` with ``type = "plc_robot"``: docs/how-to/plc-robot.md.
+
+
+AGAIN_LINKS = 2.0
+"""Delays of the link after which a datagram without an answer counts as lost."""
 
 
 class PlcRobotOptions(ConfigSection):
@@ -29,7 +33,7 @@ class PlcRobotOptions(ConfigSection):
     """The controller's profile: a shipped one by its name, or the path of a ``.toml``."""
     address: str
     """Address of its variables: ``opc.tcp://host:port`` for opcua, ``ads://host/NETID:PORT`` for ads, ``tcp://host:port``
-    for modbus."""
+    for modbus, ``hses://host:10040`` for hses."""
     delivery: str
     """Folder that it reads files from: ``folder:PATH``, ``ftp://user@host/PATH`` or ``sftp://user@host/PATH``."""
     controller_dir: str = ""
@@ -52,6 +56,7 @@ class PlcRobotOptions(ConfigSection):
 
 # Build a closed robot from the options. Checks what they name and opens nothing.
 
+_HSES = re.compile(r"hses://(?P<host>[^/:]+):(?P<port>\d{1,5})")
 _ADS = re.compile(r"ads://(?P<host>[^/:]+)/(?P<netid>(?:\d{1,3}\.){5}\d{1,3}):(?P<port>\d{1,5})")
 
 
@@ -102,6 +107,13 @@ def _link(profile: ControllerProfile, options: PlcRobotOptions, context: DeviceC
             make = partial(Modbus, where, table, silence_s, unit=profile.modbus_unit, little=profile.order == "little")
             make()  # checks its addresses
             return make
+        case "hses":
+            from polishd.drivers.plc_robot.hses import Hses
+
+            again_s = AGAIN_LINKS * profile.link_ms / 1e3
+            make_hses = partial(Hses, _hses_address(options.address), table, silence_s, again_s)
+            make_hses()  # checks its addresses
+            return make_hses
 
 
 def _papers(options: PlcRobotOptions, base_dir: Path) -> OpcUaCertificates | None:
@@ -147,6 +159,13 @@ def _place(options: PlcRobotOptions, context: DeviceContext, port: int) -> Remot
         )
     password = read_secret(options.delivery_password, context.base_dir) if options.delivery_password else ""
     return RemoteFolder(url.hostname, url.port or port, url.username, password, url.path.removeprefix("/"))
+
+
+def _hses_address(address: str) -> Tcp:
+    """Return host and port of ``hses://host:10040``."""
+    if found := _HSES.fullmatch(address):
+        return Tcp(found["host"], int(found["port"]))
+    raise ConfigError(f"address {address!r}: write hses://host:10040")
 
 
 def _ads_address(address: str) -> tuple[str, str, int]:

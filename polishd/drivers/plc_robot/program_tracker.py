@@ -49,6 +49,8 @@ class PlcProgramFile(ProgramFile):
         stops = list(stops)
         first = min((stop for stop in stops if stop > 0), default=0)
         numbered = line.counts == "n_words"
+        if pause_at_end and table.last:
+            stops.append(_last_block(blocks, table.last.encode()))
 
         def own(at: int, *lines: bytes) -> list[bytes]:
             return _numbered(lines, blocks[:at]) if numbered else list(lines)
@@ -57,7 +59,7 @@ class PlcProgramFile(ProgramFile):
             blocks,
             stops,
             lambda stop: own(stop, *(dwells if stop == first else ()), pause),
-            lambda end: own(end, pause) if pause_at_end else [],
+            lambda end: own(end, pause) if pause_at_end and not table.last else [],
             table.end.encode(),
         )
         if table.line_end == "crlf":
@@ -81,6 +83,16 @@ class PlcProgramFile(ProgramFile):
         numbers, lines = self._numbers
         at = bisect_right(numbers, shown) - 1
         return lines[at] if at >= 0 else 0
+
+
+def _last_block(blocks: Sequence[bytes], last: bytes) -> int:
+    """Return the block that ends the program. DeviceRefused if there is none."""
+    for at in range(len(blocks) - 1, 0, -1):
+        if blocks[at].strip() == last:
+            return at
+    raise DeviceRefused(
+        f"the program has no line {last.decode()}, which ends it. Check program.format and the controller's profile."
+    )
 
 
 def _dwell_lines(inserted: Sequence[int], count: int) -> tuple[int, ...]:
@@ -288,6 +300,8 @@ def _alarm(values: Mapping[str, Value]) -> str:
     alarm, text = values.get("alarm", 0), str(values.get("alarm_text", ""))
     if not alarm:
         return ""
+    if isinstance(alarm, str):
+        return alarm
     return f"alarm {alarm}{': ' if text else ''}{text}"
 
 
@@ -364,7 +378,7 @@ class PlcProgramTracker(ProgramTracker):
         waited_s = 0.0 if before is None else report.time_s - before.time_s
         was = self._before
         elsewhere = was is not None and (report.line, report.states) != (was.line, was.states)
-        if report.running or (elsewhere and report.states & {"paused", "done"}):
+        if report.running or (elsewhere and report.states & {"paused", "done", "ended"}):
             self.runs = True
             self._begin(report, waited_s)
             return

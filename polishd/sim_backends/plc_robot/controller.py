@@ -9,6 +9,7 @@ continues when the operator releases it.
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +107,10 @@ class Plc:
     shown: dict[str, Value] = field(default_factory=dict)
     """Return the values that the controller reports, as of its last report."""
     feed_held: bool = False
+    manual: bool = False
+    """The key is at manual: no program starts."""
+    goes_on: bool = True
+    """A program continues by itself when the feed is released."""
     program: PlcProgram | None = None
     _reader: LanguageReader | None = None
     """Of the loaded program, if it is not of RNC blocks."""
@@ -150,19 +155,63 @@ class Plc:
             self._show(now_s)
 
     def press(self, button: str, now_s: float) -> None:
-        """Press ``emergency stop`` or ``feed hold``; pressed again it releases."""
+        """Press ``emergency stop`` or ``feed hold``, or turn the key to ``manual``; again: release, or turn it back."""
         self.motion.advance(now_s)
         if button == "emergency stop":
             self._alarm, self._loading = (EMERGENCY_STOP, button), None
             self.motion.hold(now_s, button)
+        elif button == "manual":
+            self.manual = not self.manual
+            if self.manual:
+                self.motion.hold(now_s, button)
         else:
             self.feed_held = not self.feed_held
             if self.feed_held:
                 self._goes_on = self.motion.state == "running"
                 self.motion.hold(now_s, button)
-            elif self._goes_on and self.motion.state == "held":
+            elif self.goes_on and self._goes_on and self.motion.state == "held":
                 self.motion.resume(now_s, None)
         self._changes()
+
+    @property
+    def alarm(self) -> int:
+        """Number of the alarm at present."""
+        return self._alarm[0]
+
+    @property
+    def is_emergency_stopped(self) -> bool:
+        """The emergency stop is pressed."""
+        return self._alarm[0] == EMERGENCY_STOP
+
+    def is_silent(self, now_s: float) -> bool:
+        """The watchdog has stopped the program, and still hears no client."""
+        return self.motion.detail == "watchdog" and now_s - self._heartbeat_s > self.config.watchdog_s
+
+    def start(self, now_s: float) -> None:
+        """Start the selected job, or continue it; one that ran to its end begins again."""
+        if self.motion.state == "done":
+            self.motion.load(self.motion.path)
+        self._start(now_s)
+
+    def select(self, name: str) -> bool:
+        """Load a file, to begin at its top. False if there is none."""
+        self._load(name)
+        found = self._alarm[0] != NO_PROGRAM
+        if not found:
+            self._drop_alarm()
+        return found
+
+    def cancel_alarm(self) -> None:
+        """Acknowledge an alarm; the program stays."""
+        if not self.is_emergency_stopped:
+            self._drop_alarm()
+
+    def moves_to(self, number: int) -> int:
+        """Return how many moves the program has up to the line that is shown by this number."""
+        if self.program is None or self._reader is None:
+            return 0
+        lines = self.program.lines[: bisect_right(self._reader.numbers, number)]
+        return sum(line.startswith(b"MOV") for line in lines)
 
     def blocks_of(self, lines: FloatArray) -> FloatArray:
         """Return the program's blocks (n,) of lines of the file (n,)."""
@@ -176,6 +225,9 @@ class Plc:
         if self.motion.state != "running" and self._alarm[0] != EMERGENCY_STOP:
             self._alarm = (0, "")
             self._unload()
+
+    def _drop_alarm(self) -> None:
+        self._alarm = (0, "")
 
     def _unload(self) -> None:
         """Drop the program, and any load under way."""
@@ -225,7 +277,7 @@ class Plc:
         self.report("program_loaded", sha256=program.sha256, blocks=program.blocks, longest_turn_s=longest_turn_s)
 
     def _start(self, now_s: float) -> None:
-        if self._alarm[0] or self.feed_held or self.program is None or self.motion.state != "held":
+        if self._alarm[0] or self.feed_held or self.manual or self.program is None or self.motion.state != "held":
             return
         self._heartbeat_s = now_s
         self.motion.resume(now_s, None)

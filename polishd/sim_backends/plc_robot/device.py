@@ -1,4 +1,4 @@
-"""The process of the PLC: its variables over ADS, Modbus TCP and OPC UA, its cycle, and reports to the plant.
+"""The process of the PLC: its variables over ADS, Modbus TCP, OPC UA and HSES, its cycle, and reports to the plant.
 
 Over ADS: AMS/TCP frames, symbols by name, and sums of reads and writes.
 """
@@ -28,6 +28,7 @@ from polishd.sim_backends.common.registry import SimDevice
 from polishd.sim_backends.common.runtime import LOOPBACK, SimRuntime
 from polishd.sim_backends.common.wire import FaultyLink, Feed, SimTcpConnection, SimWire
 from polishd.sim_backends.plc_robot.controller import Plc, Value
+from polishd.sim_backends.plc_robot.hses import HsesServer, open_udp
 from polishd.sim_backends.robot.motion import SimRobotBody
 
 TCP_PORT = 48898
@@ -421,7 +422,8 @@ async def main(runtime: SimRuntime) -> None:
     server = PlcServer(runtime, folder)
     runtime.button(signal.SIGUSR1, lambda: server.press("emergency stop"), "estop")
     runtime.button(signal.SIGUSR2, lambda: server.press("feed hold"))
-    over = {"opcua": _over_opcua, "ads": _over_ads, "modbus": _over_modbus}
+    runtime.script.panel["manual"] = lambda: server.press("manual")
+    over = {"opcua": _over_opcua, "ads": _over_ads, "modbus": _over_modbus, "hses": _over_hses}
     await over[runtime.start.config.robot.kind](runtime, server)
 
 
@@ -437,6 +439,13 @@ async def _over_modbus(runtime: SimRuntime, server: PlcServer) -> None:
     robot = runtime.start.config.robot
     wire = SimWire(runtime, ModbusServer(server.plc).connected)
     wire.ready(f"tcp://{await wire.open_tcp(robot.port)}")
+    await server.run()
+
+
+async def _over_hses(runtime: SimRuntime, server: PlcServer) -> None:
+    server.plc.goes_on = False  # after a hold a job stands until the next start
+    wire = SimWire(runtime, HsesServer(server.plc).connected)
+    wire.ready(f"hses://{await open_udp(wire, runtime.start.config.robot.port)}")
     await server.run()
 
 
@@ -457,8 +466,9 @@ SIM_DEVICES = [
         name="plc_robot",
         device="robot",
         section=SimRobotSection,
-        links={"opcua": {"": "opcua"}, "ads": {"": "ads"}, "modbus": {"": "modbus_tcp"}},
+        # of "primary", too, each message is a frame: a datagram here
+        links={"opcua": {"": "opcua"}, "ads": {"": "ads"}, "modbus": {"": "modbus_tcp"}, "hses": {"": "primary"}},
         main=main,
-        faults=(*MOTION, "estop"),
+        faults=(*MOTION, "estop", "manual"),
     )
 ]

@@ -23,6 +23,7 @@ from tests.commissioned import commissioned
 
 OPCUA = {"profile": "plc-opcua", "address": "opc.tcp://127.0.0.1:4840", "delivery": "folder:nc"}
 ADS = {**OPCUA, "profile": "plc-ads", "address": "ads://plc.local/5.1.2.3.1.1:851"}
+HSES = {**OPCUA, "profile": "yaskawa-hses", "address": "hses://10.0.0.2:10040"}
 MODBUS = {**OPCUA, "profile": "plc-modbus", "address": "tcp://127.0.0.1:502"}
 FTP = {**OPCUA, "delivery": "ftp://robot@127.0.0.1/nc", "delivery_password": "file:password"}
 
@@ -42,6 +43,7 @@ def built(folder: Path, **options: Any) -> Robot:
         {**OPCUA, "user": "me", "password": "file:password"},
         ADS,
         MODBUS,
+        HSES,
         FTP,
         {**FTP, "delivery": "sftp://robot@127.0.0.1:2222/nc", "known_hosts": "hosts"},
     ],
@@ -57,6 +59,7 @@ def test_robots_are_built_closed(tmp_path: Path, options: dict[str, str]) -> Non
         ({**OPCUA, "address": "tcp://a:1"}, r"address 'tcp://a:1': opcua needs opc\.tcp://host:port"),
         ({**ADS, "address": "ads://plc:851"}, r"address 'ads://plc:851': write ads://host/NETID:PORT"),
         ({**ADS, "address": "ads://plc/5.1.2.300.1.1:851"}, "write ads:"),
+        ({**HSES, "address": "udp://a:10040"}, r"address 'udp://a:10040': write hses://host:10040"),
         ({**MODBUS, "address": "serial:/dev/ttyS0"}, r"modbus runs over tcp://"),
         ({**OPCUA, "delivery": "nfs:x"}, "delivery 'nfs:x': write folder:PATH"),
         ({**OPCUA, "delivery": "ftp://host/nc"}, "write ftp://user@host/PATH"),
@@ -151,6 +154,7 @@ FITTING = {
     "twincat-nci": {"twincat-nci", "twincat-cnc", "fanuc", "siemens-iso"},
     "staubli-val3": set(),  # its lines call programs of the controller
     "yaskawa-inform": {"inform"},
+    "yaskawa-hses": {"inform"},
 }
 """Dialects in which the lines of a shipped profile are what they are meant to be."""
 
