@@ -1,9 +1,9 @@
 """yrcom, a client of Yaskawa's High-Speed Ethernet Server, beside our driver on the simulated controller.
 
-``requirements.txt`` says which version; it is in no other environment. It reads the answer's status one byte further than
-the manual puts it, where the number of added words is (the public clients moto-hses and YaskawaRobot read it as the manual
-says, and so do we): a refusal with a reason is status 1 without a reason to it, and one without a reason is a success.
-Requests, numbers and data agree.
+``requirements.txt`` says which version; it is in no other environment. It reads the status of an answer one byte
+further than the manual puts it, where the number of added words is (the public clients moto-hses and YaskawaRobot read
+it as the manual says, and so do we): a refusal with a reason is status 1 without a reason to it, and one without a
+reason is a success. Requests, numbers and data agree.
 """
 
 from __future__ import annotations
@@ -134,7 +134,9 @@ def test_it_selects_starts_holds_and_continues_a_job(client: Any, running: Cell)
 
 
 def test_an_alarm_that_it_resets(client: Any, running: Cell) -> None:
-    (running.state / "programs" / "BAD.JBI").write_bytes(b"\r\n".join([b"/JOB", b"//NAME BAD", b"NOP", b"JUMP *A", b""]))
+    (running.state / "programs" / "BAD.JBI").write_bytes(
+        b"\r\n".join([b"/JOB", b"//NAME BAD", b"NOP", b"JUMP *A", b""])
+    )
     client.select_job("BAD")
     wait_for(lambda: client.read_status()["alarm"], "the alarm")
     alarm = client.read_alarm()

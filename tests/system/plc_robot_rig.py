@@ -71,21 +71,33 @@ LANGUAGES = {"inform": "yaskawa-inform", "val3": "staubli-val3", "inform over hs
 """Shipped profiles by the language of their programs."""
 
 
+TIMES, HSES_TIMES = "report_ms = 20.0\nlink_ms = 20.0", "report_ms = 20.0\nlink_ms = 150.0"
+"""Without a clock of the controller, a reading that a busy machine delays is a delay of the robot."""
+
+
 def write_language_cell(out: Path, language: str, encoding: EncodingOption, **job: Any) -> DemoFiles:
     """The demo's files with a small part, and a program in that language on its controller."""
     files = write_files(out, "opcua", 14.0, **job)
     files.sim.write_text(with_keys(files.sim.read_text(), {"plant": {"pv_nm": 500.0, "rms_nm": 100.0}}))
     profile = (CONTROLLER_PROFILE_DIR / f"{LANGUAGES[language]}.toml").read_text()
     (files.out / "controller.toml").write_text(
-        profile.replace("watchdog_s = 8.0\nsilence_s = 2.0", "watchdog_s = 20.0\nsilence_s = 6.0").replace(
-            "report_ms = 50.0", "report_ms = 20.0"
-        )
+        profile.replace("watchdog_s = 8.0\nsilence_s = 2.0", "watchdog_s = 20.0\nsilence_s = 6.0")
+        .replace("report_ms = 50.0", "report_ms = 20.0")
+        .replace("report_ms = 20.0\nlink_ms = 20.0", HSES_TIMES if language.endswith("hses") else TIMES)
     )
     files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": {"overhead_s": 0.004}}))  # a move and a wait
     cell = files.cell.read_text().replace('format = "rs274"', f'format = "{language.partition(" ")[0]}"')
     if language.endswith("hses"):
         cell = cell.replace("opc.tcp://", "hses://")
-    files.cell.write_text(with_keys(cell, {"limits": {"max_stall_removal_nm": 80.0}, "part": {"edge_mm": 1.0}}))
+    files.cell.write_text(
+        with_keys(
+            cell,
+            {
+                "limits": {"max_stall_removal_nm": 120.0 if language.endswith("hses") else 80.0},
+                "part": {"edge_mm": 1.0},
+            },
+        )
+    )
     config = load_config(files.cell)
     config.program_path.write_bytes(language_program(config, encoding))
     return files

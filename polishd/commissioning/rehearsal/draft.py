@@ -354,6 +354,8 @@ OTHER_LANGUAGES = (
 )  # fmt: skip
 CONTROLLER_LANGUAGES: Mapping[str, str] = {"inform": "yaskawa-inform", "val3": "staubli-val3"}
 """Languages that the simulated controller of plc_robot reads over opcua, with the profile of its variables."""
+HSES_PROFILE = "yaskawa-hses"
+"""Profile of its variables over hses."""
 LANGUAGE_SPEED = 4.0
 """As of other robots with a move and a wait at each point."""
 MOST_REPORT_MS = 160.0
@@ -458,6 +460,12 @@ def _plc_robot(draft: RehearsalDraft, device: str) -> None:
     profile = load_controller_profile(options["profile"], draft.config.base_dir)
     language = draft.config.program.format
     named = CONTROLLER_LANGUAGES.get(language, f"plc-{profile.link}")
+    if profile.link == "hses":
+        if language != "inform":
+            raise draft.config.error(
+                "program.format", f"is {language!r}; the simulated controller reads inform only over hses"
+            )
+        named = HSES_PROFILE
     usual = load_controller_profile(named, CONTROLLER_PROFILE_DIR)
     if profile.link != usual.link:
         raise draft.config.error(
@@ -465,9 +473,10 @@ def _plc_robot(draft: RehearsalDraft, device: str) -> None:
         )
     most = LANGUAGE_SPEED if language in CONTROLLER_LANGUAGES else draft.sim["plant"]["speed"][0]
     speed = min(most, round(MOST_REPORT_MS / profile.report_ms, 1))
-    draft.put(
-        "plant", "speed", speed, f"--speed: reports every {profile.report_ms:g} ms of wall time are late by as much"
-    )
+    why = f"--speed: reports every {profile.report_ms:g} ms of wall time are late by as much"
+    if usual.variables.clock is None:
+        speed, why = 1.0, f"--speed: {profile.link} carries no clock of the controller"
+    draft.put("plant", "speed", speed, why)
     if profile.variables != usual.variables or profile.program != usual.program:
         draft.files["controller.toml"] = _with_its_times(profile, usual)
         why = f"{options['profile']}: the simulated controller has the variables of {named}, and the times of"
@@ -477,7 +486,11 @@ def _plc_robot(draft: RehearsalDraft, device: str) -> None:
     elif options["profile"].endswith(".toml"):
         draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
     host = f"127.{port // 256}.{port % 256}.1"
-    address = {"opcua": f"opc.tcp://{LOOPBACK}:{port}", "ads": f"ads://{host}/{host}.1.1:851"}
+    address = {
+        "opcua": f"opc.tcp://{LOOPBACK}:{port}",
+        "ads": f"ads://{host}/{host}.1.1:851",
+        "hses": f"hses://{LOOPBACK}:{port}",
+    }
     draft.laid[f"{device}.address"] = address.get(profile.link, f"tcp://{LOOPBACK}:{port}")
     draft.laid[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
     for key in NOT_SIMULATED:
