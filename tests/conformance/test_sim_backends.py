@@ -34,6 +34,7 @@ from polishd.drivers.fanuc_rmi.protocol import MOST_OUTSTANDING
 from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.plc_robot.driver import PlcRobot
+from polishd.drivers.plc_robot.hses import Hses
 from polishd.drivers.plc_robot.modbus import Modbus
 from polishd.drivers.profile_device import build
 from polishd.drivers.robot_link.driver import RobotLink
@@ -91,6 +92,7 @@ CELLS = {
     "fanuc_rmi": BASE.replace("port = 0\n", 'port = 0\nsession_port = FREE\nkind = "fanuc_rmi"\n'),
     "kuka_kvp": BASE.replace("port = 0\n", 'port = 0\nkind = "kuka_kvp"\n'),
     "handover_modbus": BASE.replace("port = 0\n", 'port = 0\nkind = "modbus"\n'),
+    "yaskawa_hses": BASE.replace("port = 0\n", 'port = FREE\nkind = "hses"\n').replace("speed = 20.0", "speed = 1.0"),
 }
 AT_REST = {
     "robot": ("motion_started", {"motion_stopped", "boot", "lost"}),
@@ -100,7 +102,7 @@ AT_REST = {
 """Device: the event that ends its rest, and those that begin it."""
 
 
-UNCOUNTED = {"profiles", "universal_robots", "abb_rws", "fanuc_rmi"}
+UNCOUNTED = {"profiles", "universal_robots", "abb_rws", "fanuc_rmi", "yaskawa_hses"}
 """Their devices do not tell one power-up from another."""
 
 
@@ -118,7 +120,15 @@ class Place:
 ROBOTS = kind(
     *(
         Place(name, "robot")
-        for name in ("rtu_slcan", "universal_robots", "abb_rws", "fanuc_rmi", "kuka_kvp", "handover_modbus")
+        for name in (
+            "rtu_slcan",
+            "universal_robots",
+            "abb_rws",
+            "fanuc_rmi",
+            "kuka_kvp",
+            "handover_modbus",
+            "yaskawa_hses",
+        )
     )
 )
 ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
@@ -234,13 +244,17 @@ def robot_of(cells: Cells, place: Place, address: Tcp) -> RobotLink | UniversalR
             profile = load_controller_profile("plc-modbus", Path())
             make_link = partial(Modbus, address, profile.variables, profile.silence_s)
             return PlcRobot("simulated PLC", profile, make_link, Folder(running.state / "programs"))
+        case "yaskawa_hses":
+            profile = load_controller_profile("yaskawa-hses", Path())
+            make = partial(Hses, address, profile.variables, profile.silence_s, 0.1)
+            return PlcRobot("simulated Yaskawa", profile, make, Folder(running.state / "programs"))
     return RobotLink(address)
 
 
 def connect(cells: Cells, place: Place) -> Any:
     """The driver that goes with the device's wire; opens nothing."""
     running = cells.get(place.cell)
-    address = parse_address(running.endpoints[place.device], running.state)
+    address = parse_address(running.endpoints[place.device].replace("hses://", "tcp://"), running.state)
     match address:
         case Tcp() | SerialLine() if place.device == "force_sensor":
             return build.force_sensor(shipped("force_sensor_line"), address, PATIENT_SENSOR)
@@ -415,6 +429,10 @@ def slow(request: pytest.FixtureRequest) -> list[bytes]:
     if place.cell == "kuka_kvp":
         lines = [b"LIN {X %.2f,Y 0,Z 0,A 0,B 0,C 165}" % (0.4 * k) for k in range(58)]
         return [b"$VEL.CP=0.001", *lines, b"WAIT SEC 0.2"]
+    if place.cell == "yaskawa_hses":
+        points = [b"C%05d=%.1f,0,0,165,0,0" % (at, 0.4 * at) for at in range(2)]
+        moves = [b"MOVL C%05d V=10.0 PL=0" % (at % 2) for at in range(50)]
+        return [b"/JOB", b"//NAME POLISH", b"//POS", b"///RECTAN", *points, b"//INST", b"NOP", *moves, b"END"]
     if place.cell != "universal_robots":
         return SLOW
     return [b"movel(p[%.4f, 0, 0, 0, 3.14159, 0], a=5, v=0.001)" % (4e-4 * k) for k in range(60)]

@@ -131,6 +131,7 @@ def test_it_selects_starts_holds_and_continues_a_job(client: Any, running: Cell)
     client.hold(on=False)
     client.start_job()
     wait_for(lambda: client.read_position(101)["pos_X"] > held_at, "it goes on")
+    wait_for(lambda: client.read_status()["running"], "its report")
 
 
 def test_an_alarm_that_it_resets(client: Any, running: Cell) -> None:

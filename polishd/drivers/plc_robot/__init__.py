@@ -1,1 +1,1 @@
-"""Robots whose controllers load files, over OPC UA, ADS or Modbus: docs/protocols/plc_robot.md."""
+"""Robots whose controllers load files, over OPC UA, ADS, Modbus or HSES: docs/protocols/plc_robot.md."""

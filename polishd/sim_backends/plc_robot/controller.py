@@ -110,7 +110,7 @@ class Plc:
     manual: bool = False
     """The key is at manual: no program starts."""
     goes_on: bool = True
-    """A program continues by itself when the feed is released."""
+    """A program continues when the feed is released, without a start."""
     program: PlcProgram | None = None
     _reader: LanguageReader | None = None
     """Of the loaded program, if it is not of RNC blocks."""
@@ -192,6 +192,12 @@ class Plc:
         if self.motion.state == "done":
             self.motion.load(self.motion.path)
         self._start(now_s)
+
+    def hold(self, now_s: float, *, on: bool) -> None:
+        """Hold at once, however soon it is released again, or release."""
+        self.inputs["hold"] = on
+        if on and self.motion.state == "running":
+            self.motion.hold(now_s, "hold")
 
     def select(self, name: str) -> bool:
         """Load a file, to begin at its top. False if there is none."""

@@ -40,12 +40,12 @@ HEARTBEAT = (0x7C, 10)
 """D010."""
 
 
-class Refusal(Exception):
-    """The controller refuses a request."""
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why the controller refuses a request."""
 
-    def __init__(self, status: int, added: int = 0) -> None:
-        super().__init__(f"{status:#04x} {added:#06x}")
-        self.status, self.added = status, added
+    status: int
+    added: int = 0
 
 
 def refused(added: int) -> Refusal:
@@ -80,45 +80,44 @@ class HsesServer:
         )
         if ack or division != 1:
             return b""
-        data, status, added, found = datagram[HEADER.size :], 0, 0, b""
-        try:
-            if head != HEADER.size:
-                raise refused(BAD_SIZE_OF_HEADER)
-            if size != len(data):
-                raise refused(BAD_SIZE_OF_DATA)
+        data = datagram[HEADER.size :]
+        found: bytes | Refusal
+        if head != HEADER.size:
+            found = refused(BAD_SIZE_OF_HEADER)
+        elif size != len(data):
+            found = refused(BAD_SIZE_OF_DATA)
+        else:
             found = self._command(command, instance, attribute, service, data)
-        except Refusal as why:
-            status, added = why.status, why.added
-        shape = (b"YERC", ANSWER.size, len(found), 3, 1, 1, number, LAST_BLOCK, b"99999999")
-        return ANSWER.pack(*shape, service | 0x80, status, int(bool(added)), 0, added, 0) + found
+        why, body = (found, b"") if isinstance(found, Refusal) else (Refusal(0), found)
+        shape = (b"YERC", ANSWER.size, len(body), 3, 1, 1, number, LAST_BLOCK, b"99999999")
+        return ANSWER.pack(*shape, service | 0x80, why.status, int(bool(why.added)), 0, why.added, 0) + body
 
-    def _command(self, command: int, instance: int, attribute: int, service: int, data: bytes) -> bytes:
+    def _command(self, command: int, instance: int, attribute: int, service: int, data: bytes) -> bytes | Refusal:
         if command in SIZES:
             return self._variable(command, instance, service, data)
         if command in RECORDS:
             instances, record = RECORDS[command]
             if instance not in instances:
-                raise Refusal(UNKNOWN_NUMBER)
+                return Refusal(UNKNOWN_NUMBER)
             return _elements(record(self, instance), attribute, service)
         order = ORDERS.get(command)
         if order is None:
-            raise Refusal(UNKNOWN_COMMAND)
-        order(self, instance, service, data)
-        return b""
+            return Refusal(UNKNOWN_COMMAND)
+        return order(self, instance, service, data) or b""
 
     # Variables.
 
-    def _variable(self, command: int, number: int, service: int, data: bytes) -> bytes:
+    def _variable(self, command: int, number: int, service: int, data: bytes) -> bytes | Refusal:
         size, key = SIZES[command], (OF.get(command, command), number)
         if number >= VARIABLES:
-            raise Refusal(UNKNOWN_NUMBER)
+            return Refusal(UNKNOWN_NUMBER)
         if service in {GET, GET_ALL}:
             return self._stored.get(key, b"").ljust(size, b"\0")[:size]
         if service not in {SET, SET_ALL}:
-            raise Refusal(UNKNOWN_COMMAND)
+            return Refusal(UNKNOWN_COMMAND)
         # a B or an I comes in its own size or in 32 bits: the manual draws 32, clients send both
         if len(data) not in {size, max(size, 4)}:
-            raise refused(WRONG_SIZE)
+            return refused(WRONG_SIZE)
         self._stored[key] = data[:size]
         if key == HEARTBEAT:
             (self.plc.inputs["heartbeat"],) = struct.unpack("<i", data)
@@ -164,76 +163,72 @@ class HsesServer:
 
     # Orders.
 
-    def _ready(self) -> None:
+    def _unready(self) -> Refusal | None:
         """Refuse what needs an automatic mode and no alarm."""
         if self.plc.manual:
-            raise refused(WRONG_MODE)
+            return refused(WRONG_MODE)
         if self.plc.is_emergency_stopped:
-            raise refused(SERVO_OFF)
+            return refused(SERVO_OFF)
         if self.plc.alarm:
-            raise refused(IN_ALARM)
+            return refused(IN_ALARM)
+        return None
 
-    def _hold_or_servo(self, instance: int, service: int, data: bytes) -> None:
-        on = _number(service, data)
+    def _hold_or_servo(self, instance: int, service: int, data: bytes) -> Refusal | None:
         if instance not in {1, 2, 3}:
-            raise Refusal(UNKNOWN_NUMBER)
-        if on not in {1, 2}:
-            raise refused(OUT_OF_RANGE)
+            return Refusal(UNKNOWN_NUMBER)
+        if why := _unlike(service, data, 1, 2):
+            return why
         if self.plc.manual:
-            raise refused(WRONG_MODE)
+            return refused(WRONG_MODE)
         if instance == 1:
-            self.plc.inputs["hold"] = on == 1
-        elif instance == 2 and self.plc.is_emergency_stopped:
-            raise refused(SERVO_OFF)
+            self.plc.hold(self.now(), on=data[0] == 1)
+        return refused(SERVO_OFF) if instance == 2 and self.plc.is_emergency_stopped else None
 
-    def _reset(self, instance: int, service: int, data: bytes) -> None:
-        if _number(service, data) != 1:
-            raise refused(OUT_OF_RANGE)
+    def _reset(self, instance: int, service: int, data: bytes) -> Refusal | None:
         if instance not in {1, 2}:
-            raise Refusal(UNKNOWN_NUMBER)
-        if instance == 1:
+            return Refusal(UNKNOWN_NUMBER)
+        why = _unlike(service, data, 1)
+        if instance == 1 and why is None:
             self.plc.cancel_alarm()
+        return why
 
-    def _cycle(self, instance: int, service: int, data: bytes) -> None:
+    def _cycle(self, instance: int, service: int, data: bytes) -> Refusal | None:
         """The simulated controller stays at 1 CYCLE."""
-        if instance != 2:
-            raise Refusal(UNKNOWN_NUMBER)
-        if _number(service, data) != 2:
-            raise refused(OUT_OF_RANGE)
+        return Refusal(UNKNOWN_NUMBER) if instance != 2 else _unlike(service, data, 2)
 
-    def _start(self, instance: int, service: int, data: bytes) -> None:
+    def _start(self, instance: int, service: int, data: bytes) -> Refusal | None:
         if instance != 1:
-            raise Refusal(UNKNOWN_NUMBER)
-        if _number(service, data) != 1:
-            raise refused(OUT_OF_RANGE)
-        self._ready()
+            return Refusal(UNKNOWN_NUMBER)
+        if why := _unlike(service, data, 1) or self._unready():
+            return why
         plc = self.plc
-        holds = (
+        obstacles = (
             (PENDANT_HOLD, plc.feed_held),
             (EXTERNAL_HOLD, plc.is_silent(self.now())),
             (COMMAND_HOLD, bool(plc.inputs["hold"])),
             (MOVES, plc.motion.state == "running"),
             (NO_JOB, plc.program is None),
         )
-        if why := next((added for added, is_so in holds if is_so), 0):
-            raise refused(why)
+        if added := next((added for added, is_so in obstacles if is_so), 0):
+            return refused(added)
         plc.start(self.now())
+        return None
 
-    def _select(self, instance: int, service: int, data: bytes) -> None:
+    def _select(self, instance: int, service: int, data: bytes) -> Refusal | None:
         if instance != 1:
-            raise Refusal(UNKNOWN_NUMBER)
+            return Refusal(UNKNOWN_NUMBER)
         if service != SET_ALL:
-            raise Refusal(UNKNOWN_COMMAND)
+            return Refusal(UNKNOWN_COMMAND)
         if len(data) != 36:
-            raise refused(WRONG_SIZE)
-        self._ready()
+            return refused(WRONG_SIZE)
+        if why := self._unready():
+            return why
         if self.plc.motion.state == "running":
-            raise refused(MOVES)
+            return refused(MOVES)
         name = data[:32].partition(b"\0")[0].decode("latin-1")
         if struct.unpack_from("<I", data, 32)[0]:
-            raise refused(OUT_OF_RANGE)  # a job begins at its top here
-        if not self.plc.select(f"{name}.JBI"):
-            raise refused(NO_SUCH_JOB)
+            return refused(OUT_OF_RANGE)  # a job begins at its top here
+        return None if self.plc.select(f"{name}.JBI") else refused(NO_SUCH_JOB)
 
 
 RECORDS: Mapping[int, tuple[range, Callable[[HsesServer, int], list[bytes]]]] = {
@@ -244,7 +239,7 @@ RECORDS: Mapping[int, tuple[range, Callable[[HsesServer, int], list[bytes]]]] = 
     0x89: (range(11, 12), HsesServer._system),
 }
 """By command: its instances, and its record."""
-ORDERS: Mapping[int, Callable[[HsesServer, int, int, bytes], None]] = {
+ORDERS: Mapping[int, Callable[[HsesServer, int, int, bytes], Refusal | None]] = {
     0x82: HsesServer._reset,
     0x83: HsesServer._hold_or_servo,
     0x84: HsesServer._cycle,
@@ -253,23 +248,23 @@ ORDERS: Mapping[int, Callable[[HsesServer, int, int, bytes], None]] = {
 }
 
 
-def _elements(record: Sequence[bytes], attribute: int, service: int) -> bytes:
+def _elements(record: Sequence[bytes], attribute: int, service: int) -> bytes | Refusal:
     if service == GET_ALL:
         return b"".join(record)
     if service != GET:
-        raise Refusal(UNKNOWN_COMMAND)
+        return Refusal(UNKNOWN_COMMAND)
     if not 1 <= attribute <= len(record):
-        raise Refusal(UNKNOWN_ELEMENT)
+        return Refusal(UNKNOWN_ELEMENT)
     return record[attribute - 1]
 
 
-def _number(service: int, data: bytes) -> int:
-    """The number of an order."""
+def _unlike(service: int, data: bytes, *numbers: int) -> Refusal | None:
+    """Refuse an order whose number is none of these."""
     if service != SET:
-        raise Refusal(UNKNOWN_COMMAND)
+        return Refusal(UNKNOWN_COMMAND)
     if len(data) != 4:
-        raise refused(WRONG_SIZE)
-    return int(struct.unpack("<I", data)[0])
+        return refused(WRONG_SIZE)
+    return None if struct.unpack("<I", data)[0] in numbers else refused(OUT_OF_RANGE)
 
 
 # Datagrams with the faults of the link: each client has its own two directions.

@@ -498,6 +498,16 @@ def test_a_cell_with_programs_in_its_robots_language_is_rehearsed_in_it(
     assert (config.robot.kind, config.robot.report_ms, config.plant.speed) == ("opcua", 50.0, 3.2)
 
 
+def test_a_yaskawa_cell_over_hses_is_rehearsed_in_real_time_and_in_inform(tmp_path: Path) -> None:
+    keys = 'type = "plc_robot"\nprofile = "yaskawa-hses"\naddress = "hses://10.0.0.2:10040"\ndelivery = "folder:nc"'
+    draft = made(tmp_path, robot(keys).replace('"rs274"', '"inform"'))
+    sim, other = sim_of(draft, tmp_path), changed(draft, tmp_path)
+    assert (sim.robot.kind, sim.plant.speed, sim.robot.report_ms) == ("hses", 1.0, 20.0)
+    assert other["robot.address"].startswith("hses://127.0.0.1:")
+    with pytest.raises(ConfigError, match=r"program\.format: is 'rs274'; the simulated controller reads inform only"):
+        made(tmp_path, robot(keys))
+
+
 @pytest.mark.parametrize(("maker", "profile"), [("yaskawa", "yaskawa-inform"), ("staubli", "staubli-val3")])
 def test_node_ids_of_ones_own_are_those_of_the_simulated_controller_in_a_rehearsal(
     tmp_path: Path, maker: str, profile: str
