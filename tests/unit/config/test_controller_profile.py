@@ -99,6 +99,7 @@ def test_a_feed_override_shows_a_hold_too(tmp_path: Path) -> None:
         ("done = [4]", "done = [4.5]", r"mine\.toml:\d+: variables\.state\.done"),
         ("[variables]", "[program]\ndwell = 'G4 P1'\n[variables]", r"dwell: must have \{seconds\}"),
         ("[variables]", "[program]\nfile = '../x.nc'\n[variables]", r"mine\.toml:7: program\.file: '\.\./x\.nc'"),
+        ("done = [4]", "ended = [4]\n[program]\nend = ''", r"program\.end: is empty.* or program\.last"),
         ("[variables]", "[variables]\nstop = 1", r"mine\.toml:7: variables\.stop: unknown key"),
         (
             "[variables]",

@@ -236,6 +236,7 @@ async def test_a_hold_is_sent_until_it_is_answered(tmp_path: Path) -> None:
         assert found.fake.plc.inputs["hold"] is True
 
 
+@pytest.mark.full
 async def test_a_hold_off_is_sent_once(tmp_path: Path) -> None:
     async with linked(tmp_path, silence_s=0.3) as found:
         found.loses(0x83, 1, request=True)
@@ -260,6 +261,16 @@ async def test_answers_that_are_late_or_repeated_or_of_others_are_dropped(tmp_pa
             await found.link.write({"heartbeat": beat})
             values = (await found.link.read()).values
             assert (values["loaded"], values["line"], found.fake.plc.inputs["heartbeat"]) == ("POLISH.JBI", 0, beat)
+
+
+async def test_orders_that_the_network_repeats_are_executed_once(tmp_path: Path) -> None:
+    async with ready(tmp_path) as found:
+        found.served.into = lambda request: [request, request]
+        await found.link.write({"hold": False, "start": True})
+        assert found.fake.plc.motion.state in {"running", "done"}
+        await found.link.write({"hold": True})
+        await shows(found.link, feed_hold=False)
+        assert found.fake.plc.motion.state != "running" or found.fake.plc.motion.stopping
 
 
 async def test_nothing_that_listens_and_silence_are_a_lost_link(tmp_path: Path) -> None:
@@ -335,6 +346,7 @@ async def test_a_whole_job_with_datagrams_lost_and_repeated(tmp_path: Path) -> N
         assert text[-4:] == [b"MOVL C00029 V=50.0 PL=0", b"PAUSE", b"END", b""]
 
 
+@pytest.mark.full
 async def test_a_job_that_goes_back_to_its_top_did_not_end(tmp_path: Path) -> None:
     plan = plan_of(JOB, approach_blocks=FIRST + 5)
     async with robot_at(tmp_path) as (robot, _, fake):

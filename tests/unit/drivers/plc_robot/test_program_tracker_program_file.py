@@ -53,6 +53,17 @@ def test_a_language_without_an_end_of_ours_gets_none() -> None:
     assert PlcProgramFile(lines[:2], (), TABLE, line=line()).text.endswith(b"PROC main()\nM2\n")
 
 
+def test_a_pause_before_the_own_end_of_a_language() -> None:
+    table = ProgramTable(pause="PAUSE", dwell="TIMER T={seconds:.2f}", end="", last="END", line_end="crlf")
+    lines = [b"/JOB", b"NOP", b"MOVL C0", b"MOVL C1", b"END", b""]
+    file = PlcProgramFile(lines, (3,), table, line=line(), proof_s=(0.25,), pause_at_end=True)
+    assert file.lines == (*lines[:3], b"TIMER T=0.25", b"PAUSE", lines[3], b"PAUSE", b"END", b"")
+    assert (file.end, file.pauses) == (4, {5: 3, 7: 4})
+    assert PlcProgramFile(lines, (3,), table, line=line()).end is None
+    with pytest.raises(DeviceRefused, match="the program has no line END, which ends it"):
+        PlcProgramFile(lines[:4], (3,), table, line=line(), pause_at_end=True)
+
+
 def test_n_words_tell_the_line_and_ours_go_on_from_those_before() -> None:
     file = PlcProgramFile(
         numbered(BLOCKS, 10), (2,), TABLE, line=line(counts="n_words"), proof_s=(0.25,), pause_at_end=True
