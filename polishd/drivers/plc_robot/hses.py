@@ -339,9 +339,12 @@ class Hses:
                     raise ProtocolError(f"{self._name}: {name} cannot be written: {answer.refusal}")
                 continue
             for request in order_of(spot, typed):
-                answer = await self._ask(request, again=spot == "hold" and bool(typed))
-                if answer.refusal and not await self._is_moot(spot, typed):
-                    raise DeviceRefused(f"{self._name}: the controller refuses {spot}: {answer.refusal}")
+                if spot == "hold" and typed:
+                    refusal = await self._hold(request)
+                else:
+                    refusal = (await self._ask(request, again=False)).refusal
+                if refusal and spot != "reset":  # what a reset leaves, the state shows
+                    raise DeviceRefused(f"{self._name}: the controller refuses {spot}: {refusal}")
 
     def received(self, datagram: bytes) -> None:
         """Process a datagram."""
@@ -380,12 +383,20 @@ class Hses:
             self._axes = axes
         return words(status, job, alarm, moves=moves), line_s
 
-    async def _is_moot(self, order: str, value: Value) -> bool:
-        """Whether a refused order has nothing to do: a hold of what stands, a reset, after which the state is seen."""
-        if order == "hold" and value:
+    async def _hold(self, request: HsesRequest) -> str:
+        """Ask for a hold until it is taken or no job runs: a key that is turned stops the job, and refuses the hold.
+
+        Return the refusal after ``silence_s``, or an empty text.
+        """
+        end_s = time.monotonic() + self._silence_s
+        while refusal := (await self._ask(request, again=True)).refusal:
             status = await self._data(STATUS, "read the status", _STATUS.size)
-            return not _STATUS.unpack(status)[0] & RUNNING
-        return order == "reset"
+            if not _STATUS.unpack(status)[0] & RUNNING:
+                return ""
+            if time.monotonic() > end_s:
+                return refusal
+            await asyncio.sleep(self._again_s)
+        return ""
 
     async def _data(self, request: HsesRequest, what: str, size: int | None = None) -> bytes:
         """Return the data of a reading, of that size if given."""

@@ -236,6 +236,22 @@ async def test_a_hold_is_sent_until_it_is_answered(tmp_path: Path) -> None:
         assert found.fake.plc.inputs["hold"] is True
 
 
+async def test_a_hold_that_is_refused_while_the_job_stops_is_asked_for_again(tmp_path: Path) -> None:
+    async with linked(tmp_path) as found:
+        left = [2]
+
+        def still_runs(answer: bytes) -> list[bytes]:
+            if left[0] and struct.unpack_from("<H", found.served.asked[-1], 24)[0] == 0x72:
+                left[0] -= 1
+                return [answer[:32] + bytes([answer[32] | 0x08]) + answer[33:]]
+            return [answer]
+
+        found.fake.plc.press("manual", 0.0)
+        found.served.out = still_runs
+        await found.link.write({"hold": True})
+        assert found.sent(0x83) == 3
+
+
 @pytest.mark.full
 async def test_a_hold_off_is_sent_once(tmp_path: Path) -> None:
     async with linked(tmp_path, silence_s=0.3) as found:
