@@ -288,7 +288,8 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
     async def _load(self, plan: Plan, tracker: PlcProgramTracker) -> None:
         """Deliver the file, command the controller to load it, and confirm that it is loaded."""
         poller, variables = self._poller, self._profile.variables
-        report_s = self._profile.report_ms / 1e3 * max(poller.pace, 1e-3)
+        age_ms = self._profile.report_ms + (self._profile.link_ms if variables.clock is None else 0.0)
+        report_s = age_ms / 1e3 * max(poller.pace, 1e-3)
         seconds = dwells_s(report_s, self._profile.program.dwell_step_s) if plan.approach_blocks else []
         file = PlcProgramFile(
             self._lines,
@@ -304,7 +305,8 @@ class PlcRobot(ProgramRobot[PlcProgramTracker]):
             await poller.order("load")
         await self._loads(poller)
         tracker.file = file
-        tracker.proof = LineCheck(file.proof, seconds, MORE_S * poller.pace)
+        varies_s = report_s if variables.clock is None else 0.0
+        tracker.proof = LineCheck(file.proof, seconds, MORE_S * poller.pace, varies_s)
         tracker.start_s = START_S * poller.pace
         self._session = await self._current_session()
 

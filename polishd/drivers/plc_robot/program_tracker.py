@@ -160,10 +160,13 @@ def dwells_s(report_s: float, step_s: float = 0.001, count: int = 2) -> list[flo
 class LineCheck:
     """Check of the dwells of one file: it gets each reported line with its time, and returns the error."""
 
-    def __init__(self, lines: Sequence[int], seconds: Sequence[float], more_s: float) -> None:
-        """``lines``: increasing lines of the file; ``more_s``: tolerance of a dwell, controller's time."""
+    def __init__(self, lines: Sequence[int], seconds: Sequence[float], more_s: float, less_s: float = 0.0) -> None:
+        """``lines``: increasing lines of the file; ``more_s``: tolerance of a dwell, controller's time.
+
+        ``less_s``: variation of the age of a report, by which a dwell seems shorter; 0 with the controller's clock.
+        """
         self._left = list(zip(lines, seconds, strict=False))
-        self._more_s = more_s
+        self._more_s, self._less_s = more_s, less_s
         self._before_s: float | None = None
         """Time of the last report."""
         self._first: tuple[float, float] | None = None
@@ -193,7 +196,7 @@ class LineCheck:
         if self._first is None or self._before_s is None:
             return ""
         longest_s, least_s = now_s - self._first[0], self._before_s - self._first[1]
-        if longest_s >= seconds * 0.99 and least_s <= seconds + self._more_s:
+        if longest_s >= seconds * 0.99 - self._less_s and least_s <= seconds + self._more_s:
             return ""
         return (
             f"the reported line is not the executed block: a dwell of {seconds:.3f} s, line {dwell} of "

@@ -257,6 +257,13 @@ def test_a_line_that_is_read_ahead_or_another_file_is_found_out(lag: int, second
     assert len(watch) < 2, "no landing follows"
 
 
+@pytest.mark.parametrize(("less_s", "is_proved"), [(0.0, False), (0.04, True)])
+def test_without_a_clock_a_dwell_may_seem_shorter_by_the_age_of_a_report(less_s: float, is_proved: bool) -> None:
+    check = LineCheck((3,), (0.2,), 1.0, less_s)
+    said = [check.look(line, at) for at, line in ((0.0, 2), (0.02, 3), (0.15, 3), (0.17, 4))]
+    assert (check.over, any(said)) == (True, not is_proved)
+
+
 def test_the_last_block_of_the_approach_is_over_when_the_dwells_are() -> None:
     """Reported earlier, the tool would land while the controller still runs."""
     watch = watch_of(5, stops=(2,), proof_s=DWELLS)
