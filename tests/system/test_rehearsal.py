@@ -104,7 +104,9 @@ def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
             simulator.communicate(timeout=SOON_S)  # until all that it started is gone
 
 
-@pytest.mark.parametrize("make", [lens, loads_files, arm, abb, kuka, yaskawa, yaskawa_hses, staubli])
+@pytest.mark.parametrize(
+    "make", [lens, loads_files, arm, abb, kuka, yaskawa, pytest.param(yaskawa_hses, marks=pytest.mark.slow), staubli]
+)
 def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(tmp_path: Path, make: Maker) -> None:
     real = make(tmp_path / "cell")
     before = {path: path.read_bytes() for path in real.out.rglob("*") if path.is_file()}
