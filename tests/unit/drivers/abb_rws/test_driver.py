@@ -59,6 +59,13 @@ async def executed(robot: AbbRobot, count: int) -> list[ExecutedBlock]:
     return found
 
 
+async def snapshots(robot: AbbRobot, count: int) -> None:
+    """Wait for that many new ones."""
+    connection = robot._connection
+    last = connection.count + count
+    assert await connection.until(lambda: connection.count >= last, SOON_S)
+
+
 async def until(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(SOON_S):
         while not condition():  # noqa: ASYNC110 -- the machine sends no event
@@ -125,9 +132,10 @@ async def test_a_robot_that_stands_and_says_it_runs_reports_no_block(tmp_path: P
         await executed(robot, 2)
         fake.controller.override.suffer(FaultSection(device="robot", what="stand", at_s=0.0), on=True)
         await until(lambda: fake.controller.motion.pace == 0.0)
+        await snapshots(robot, 2)
         before = (await robot.progress()).executed
-        await asyncio.sleep(0.5)
-        assert (await robot.progress()).executed <= before + 1
+        await snapshots(robot, 3)
+        assert (await robot.progress()).executed == before
         assert (await robot.progress()).state == "running"
 
 
