@@ -5,27 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from tests.interop.peers import Peer
+from tests.interop.peers import LINKS, Peer
 
-LINKS = (
-    "Modbus RTU and TCP",
-    "Modbus RTU",
-    "Modbus TCP",
-    "OPC UA",
-    "ADS",
-    "FTP",
-    "SFTP",
-    "CANopen",
-    "RTDE",
-    "Robot Web Services 1.0",
-    "Robot Web Services 2.0",
-    "FANUC RMI",
-    "KUKAVARPROXY",
-    "linuxcncrsh",
-    "HTTP",
-    "the page",
-)
-"""In this order."""
 HEAD = """# Interoperability: peers of other authors
 
 <!-- Written by `make interop`. -->

@@ -23,6 +23,26 @@ SITE = BUILT / "venv" / "lib" / f"python{sys.version_info[0]}.{sys.version_info[
 """What ``make interop`` installed of requirements.txt. It comes last in the path: conftest.py."""
 NODE_MODULES = BUILT / "node_modules"
 END_S = 10.0
+LINKS = (
+    "Modbus RTU and TCP",
+    "Modbus RTU",
+    "Modbus TCP",
+    "OPC UA",
+    "ADS",
+    "FTP",
+    "SFTP",
+    "CANopen",
+    "RTDE",
+    "Robot Web Services 1.0",
+    "Robot Web Services 2.0",
+    "FANUC RMI",
+    "KUKAVARPROXY",
+    "HSES",
+    "linuxcncrsh",
+    "HTTP",
+    "the page",
+)
+"""What peers speak with us, in the order of the page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +51,16 @@ class Peer:
 
     name: str
     link: str
-    """What it speaks with us."""
+    """One of ``LINKS``."""
     part: str
     """Which end of the link it is, and of ours the other."""
     source: str
     """Where it comes from: Debian, PyPI or npm."""
     package: str
+
+    def __post_init__(self) -> None:
+        """A link that the page does not know is found when the tests are collected, not when all have run."""
+        assert self.link in LINKS, f"{self.link!r}: add it to LINKS"
 
     @property
     def version(self) -> str:
