@@ -175,7 +175,7 @@ async def test_both_see_the_same_job_and_we_notice_what_it_does(robot: PlcRobot,
         _ = [one async for one in robot.executed(len(JOB) - 1)]
 
 
-async def test_a_hold_of_its_own_ends_with_our_start(robot: PlcRobot, client: Any) -> None:
+async def test_its_hold_ends_with_our_start(robot: PlcRobot, client: Any) -> None:
     await asyncio.to_thread(client.hold)
     plan = plan_of(QUICK)
     await robot.prepare(plan)
