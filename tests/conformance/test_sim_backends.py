@@ -117,20 +117,15 @@ class Place:
         return f"{self.device}-{self.cell}"
 
 
-ROBOTS = kind(
-    *(
-        Place(name, "robot")
-        for name in (
-            "rtu_slcan",
-            "universal_robots",
-            "abb_rws",
-            "fanuc_rmi",
-            "kuka_kvp",
-            "handover_modbus",
-            "yaskawa_hses",
+ROBOTS = [
+    *kind(
+        *(
+            Place(name, "robot")
+            for name in ("rtu_slcan", "universal_robots", "abb_rws", "fanuc_rmi", "kuka_kvp", "handover_modbus")
         )
-    )
-)
+    ),
+    pytest.param(Place("yaskawa_hses", "robot"), marks=pytest.mark.slow),  # in real time, and a tenth cell side by side
+]
 ACTUATORS = kind(*(Place(name, "actuator") for name in ("rtu_slcan", "tcp_socketcand", "ascii", "profiles")))
 SPINDLES = kind(*(Place(name, "spindle") for name in ("rtu_slcan", "tcp_socketcand", "profiles")))
 LOOKING = kind(Place("rtu_slcan", "force_sensor"), Place("rtu_slcan", "monitor"))
