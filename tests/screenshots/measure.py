@@ -94,11 +94,11 @@ def watchers(count: int) -> None:
             for thread in threads:
                 thread.start()
             time.sleep(3)
-            used_s, looks, told, began_s = process_cpu_s(process.pid), daemon.looks, sum(heard), time.monotonic()
+            used_s, looks, states, began_s = process_cpu_s(process.pid), daemon.looks, sum(heard), time.monotonic()
             time.sleep(LASTS_S)
             took_s = time.monotonic() - began_s
             share, asked = (process_cpu_s(process.pid) - used_s) / took_s, (daemon.looks - looks) / took_s
-            got = (sum(heard) - told) / took_s
+            got = (sum(heard) - states) / took_s
             ended.set()
             for thread in threads:
                 thread.join(5)
