@@ -113,6 +113,7 @@ def test_it_stops_the_program_and_slows_it_down(client: Any) -> None:
     client.set_speedratio(100)
     client.start(cycle="once")
     until(lambda: client.get_rapid_variable_num("count") == 3.0)
+    until(lambda: client.get_execution_state().ctrlexecstate == "stopped")
 
 
 def test_it_gets_events_of_a_variable_and_of_the_execution(client: Any) -> None:
@@ -126,16 +127,18 @@ def test_it_gets_events_of_a_variable_and_of_the_execution(client: Any) -> None:
         rws.SubscriptionResourceRequest(kinds.ExecutionState, rws.SubscriptionResourcePriority.Medium),
     ]
     subscription = client.subscribe(wanted, events.put)
-    client.start(cycle="once")
     seen: list[Any] = []
 
-    def ended() -> bool:
+    def got(value: str) -> bool:
         while not events.empty():
             seen.append(events.get())
         values = [event.value for event in seen if isinstance(event, rws.VariableValue)]
-        return values[-1:] == ["3"]
+        return values[-1:] == [value]
 
-    until(ended)
+    # The client opens its WebSocket in a thread, and reads one resource of a message: values from before the start first.
+    until(lambda: got("0"))
+    client.start(cycle="once")
+    until(lambda: got("3"))
     assert any(isinstance(one, rws.RAPIDExecutionState) and one.ctrlexecstate == "running" for one in seen)
     subscription.close()
 
