@@ -13,6 +13,7 @@ import os
 import resource
 import signal
 import sqlite3
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -290,10 +291,13 @@ def rows_of(page: str) -> list[list[str]]:
 
 
 def write_page(folder: Path) -> None:
-    """Put the table of what was saved into docs/reference/results.md."""
+    """Put the table of what was saved into docs/reference/results.md. SystemExit where nothing was."""
+    rows = load(folder)
+    if not rows:
+        sys.exit(f"nothing was measured: no files in {folder}, and the page stays as it is. Run make ways-out.")
     before, _, rest = PAGE.read_text().partition(BEGIN)
     after = rest.partition(END)[2]
-    PAGE.write_text(before + BEGIN + table(load(folder)) + END + after)
+    PAGE.write_text(before + BEGIN + table(rows) + END + after)
 
 
 def save(cost: Cost, folder: Path) -> None:

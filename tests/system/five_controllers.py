@@ -1,12 +1,13 @@
 """One cycle on five controllers, each with the time that it takes beyond what is written: what came of it.
 
-``python -m tests.system.five_controllers`` puts what the tests saved into docs/explanation/robot.md.
+``python -m tests.system.five_controllers`` puts what the tests saved into docs/reference/results.md.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -212,10 +213,12 @@ def rows_of(page: str) -> list[list[str]]:
 
 
 def write_page() -> None:
-    """Put the table of what was saved into docs/explanation/robot.md."""
+    """Put the table of what was saved into docs/reference/results.md. SystemExit where nothing was."""
+    rows = [json.loads(path.read_text()) for path in SAVED.glob("*.json")]
+    if not rows:
+        sys.exit(f"nothing was measured: no files in {SAVED}, and the page stays as it is. Run its tests first.")
     before, _, rest = PAGE.read_text().partition(BEGIN)
     after = rest.partition(END)[2]
-    rows = [json.loads(path.read_text()) for path in SAVED.glob("*.json")]
     PAGE.write_text(before + BEGIN + table(rows) + END + after)
 
 
