@@ -31,6 +31,25 @@ def rotation_from_rpy_deg(roll: float, pitch: float, yaw: float) -> FloatArray:
     return np.asarray(rx @ ry @ rz, dtype=np.float64)
 
 
+def rotation_vectors(rotation: FloatArray) -> FloatArray:
+    """(n, 3) axis times angle, 0 to pi rad, of (n, 3, 3) rotations."""
+    # Four times the products of the quaternions' components, scalar first: any row is a quaternion but for its length,
+    # and that of the largest component is the exact one.
+    products = np.empty((len(rotation), 4, 4))
+    diagonal = np.einsum("nii->ni", rotation)
+    trace = diagonal.sum(axis=1)
+    np.einsum("nii->ni", products)[:] = 1.0 + np.column_stack([trace, 2.0 * diagonal - trace[:, None]])
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        products[:, 0, i + 1] = products[:, i + 1, 0] = rotation[:, k, j] - rotation[:, j, k]
+        products[:, j + 1, k + 1] = products[:, k + 1, j + 1] = rotation[:, k, j] + rotation[:, j, k]
+    largest = np.einsum("nii->ni", products).argmax(axis=1)
+    quaternion = products[np.arange(len(products)), largest]
+    quaternion *= np.where(quaternion[:, :1] < 0, -1.0, 1.0)
+    sine = np.linalg.norm(quaternion[:, 1:], axis=1)
+    angle = 2.0 * np.arctan2(sine, quaternion[:, 0])
+    return np.asarray((angle / np.where(sine > 0, sine, 1.0))[:, None] * quaternion[:, 1:])
+
+
 def points_to_base(placement: Placement, part_mm: FloatArray) -> FloatArray:
     """(n, 3) points from the part's frame to the robot's base frame, mm."""
     points = require_vectors("point in the part's frame", part_mm, "mm")

@@ -15,6 +15,7 @@ from polishd.model.errors import ComputeError
 from polishd.model.process import SerialRobot
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.process.checks import refuse_where, require_number
+from polishd.process.frames import rotation_vectors
 from polishd.process.robot.hybrid import require_poses
 
 # The chain of joints that Denavit-Hartenberg rows describe.
@@ -321,7 +322,7 @@ def _follow(robot: SerialRobot, start: FloatArray, tip: FloatArray, flange: Floa
 
 def _error(robot: SerialRobot, at: Chain, tip: FloatArray, flange: FloatArray) -> FloatArray:
     """(n, 6) twist that is left to the pose: translation over the reach, and rotation vector, rad."""
-    turn = scipy.spatial.transform.Rotation.from_matrix(flange @ at.flange.transpose(0, 2, 1)).as_rotvec()
+    turn = rotation_vectors(flange @ at.flange.transpose(0, 2, 1))
     return np.concatenate([(tip - at.tip_mm) / reach_mm(robot), turn], axis=1)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from polishd.model.errors import ComputeError
 from polishd.model.outline import Circle, Outline
@@ -270,14 +269,32 @@ def coverage(
     """
     path = _samples(start_mm[:, :2], end_mm[:, :2], spot_mm / STEPS)
     outside = ~outline.contains(path[:, 0], path[:, 1], -landing_mm)
-    x, y = np.meshgrid(*(np.linspace(edge_mm - half, half - edge_mm, ACROSS) for half in outline.half_mm))
-    aperture = np.stack([x, y], axis=-1)[outline.contains(x, y, edge_mm)]
-    # Points of a path are spread evenly: a plain tree takes less than half the time.
-    tree = scipy.spatial.cKDTree(path, balanced_tree=False, compact_nodes=False)
-    near, _ = tree.query(aperture, distance_upper_bound=spot_mm)
+    x, y = (np.linspace(edge_mm - half, half - edge_mm, ACROSS) for half in outline.half_mm)
+    aperture = outline.contains(*np.meshgrid(x, y), edge_mm)
+    reached = _reached(path, spot_mm, x, y)
     return PathCoverage(
-        float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(np.isinf(near)))
+        float(np.linalg.norm(path, axis=1).max()), float(np.mean(outside)), float(np.mean(~reached[aperture]))
     )
+
+
+def _reached(path_mm: FloatArray, spot_mm: float, x_mm: FloatArray, y_mm: FloatArray) -> BoolArray:
+    """(ny, nx) whether a sample, of even steps in (nx,) x and (ny,) y, lies within a spot of (k, 2) points of a path.
+
+    Of each row that a spot meets it covers the samples from one to another: +1 and -1 there, summed along the rows.
+    A tree of the points would take `scipy.spatial`, whose import takes longer than all of this.
+    """
+    step_mm = x_mm[1] - x_mm[0]
+    change = np.zeros((len(y_mm), len(x_mm) + 1), dtype=np.int64)
+    order = np.argsort(path_mm[:, 1], kind="stable")
+    path = path_mm[order]
+    first, last = (np.searchsorted(path[:, 1], y_mm + side * spot_mm) for side in (-1, 1))
+    for row, (begin, end) in enumerate(zip(first, last, strict=True)):
+        from_row = path[begin:end, 1] - y_mm[row]
+        half = np.sqrt(np.maximum(spot_mm**2 - from_row**2, 0.0))
+        ends = ((path[begin:end, 0] + side * half - x_mm[0]) / step_mm for side in (-1, 1))
+        left, right = (np.clip(np.ceil(at), 0, len(x_mm)).astype(np.int64) for at in ends)
+        change[row] = np.bincount(left, minlength=len(x_mm) + 1) - np.bincount(right, minlength=len(x_mm) + 1)
+    return np.asarray(np.cumsum(change, axis=1)[:, :-1] > 0)
 
 
 def _samples(start_mm: FloatArray, end_mm: FloatArray, step_mm: float) -> FloatArray:

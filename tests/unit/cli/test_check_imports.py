@@ -10,7 +10,11 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
-LEFT_OUT = ("matplotlib", "qpsolvers", "clarabel", "scipy.fft", "scipy.ndimage", "scipy.optimize", "scipy.interpolate")
+LEFT_OUT = (
+    "matplotlib", "qpsolvers", "clarabel", "scipy.fft", "scipy.ndimage", "scipy.optimize", "scipy.interpolate",
+    "scipy.spatial", "scipy.linalg",
+)  # fmt: skip
+EXAMPLES = Path(__file__).parents[3] / "examples"
 SCRIPT = f"""
 import sys
 from polishd.__main__ import main
@@ -24,8 +28,14 @@ print("imported:", *(name for name in {LEFT_OUT!r} if name in sys.modules), file
 
 
 @pytest.mark.full
-def test_a_check_imports_only_what_it_uses(tmp_path: Path) -> None:
-    cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+@pytest.mark.parametrize("example", ["demo", "fanuc_rmi"])
+def test_a_check_imports_only_what_it_uses(example: str, tmp_path: Path) -> None:
+    """The demo's arm has parallel kinematics and NC text, that of ``fanuc_rmi`` six joints and a robot's language."""
+    cell = (
+        write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
+        if example == "demo"
+        else EXAMPLES / example / "cell.toml"
+    )
     done = subprocess.run([sys.executable, "-c", SCRIPT, str(cell)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr.strip().splitlines()[-1] == "imported:"

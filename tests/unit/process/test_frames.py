@@ -251,3 +251,21 @@ def test_on_a_flat_part_an_axis_is_seen_as_it_is() -> None:
     np.testing.assert_array_equal(frames.axes_on_level_surface(axis, np.array([[0.0, 0.0, 1.0]])), axis)
     with pytest.raises(ComputeError, match="looks down"):
         frames.axes_on_level_surface(axis, np.array([[0.0, 0.0, -1.0]]))
+
+
+def test_rotation_vectors_are_those_that_the_rotations_were_made_of() -> None:
+    """From none to half a turn, where both signs are right, and about each axis, where a component of three is 0."""
+    rng = np.random.default_rng(4)
+    away = rng.normal(size=(3000, 3))
+    away[:3], away[3:6] = np.eye(3), -np.eye(3)
+    size = np.concatenate(
+        [[0.0], np.logspace(-17, 0, 1000), rng.uniform(0.0, np.pi, 998), np.pi - np.logspace(-16, 0, 1001)]
+    )
+    rng.shuffle(size)
+    vector = away / np.linalg.norm(away, axis=1, keepdims=True) * size[:, None]
+    found = frames.rotation_vectors(Rotation.from_rotvec(vector).as_matrix())
+    other = vector - 2 * np.pi * vector / np.maximum(size, 1e-300)[:, None]  # the same rotation, the long way round
+    off = np.minimum(*(np.linalg.norm(found - one, axis=1) for one in (vector, other)))
+    assert off.max() < 1e-14
+    assert np.linalg.norm(found, axis=1).max() < np.pi + 1e-14
+    assert frames.rotation_vectors(np.zeros((0, 3, 3))).shape == (0, 3)

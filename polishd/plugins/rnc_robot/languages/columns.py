@@ -10,7 +10,6 @@ from enum import IntEnum
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
-import scipy
 
 from polishd.model.program import IntArray
 from polishd.model.surface import FloatArray
@@ -171,8 +170,6 @@ def numbers(column: array[int]) -> IntArray:
 
 Convention = Literal["quaternion", "euler_deg", "rotation_vector_rad", "rotary_deg", "vector"]
 
-ROWS = 1 << 14
-"""Orientations that are turned into axes at once."""
 UNIT_WITHIN = 1e-3
 """How far a quaternion's norm may be from 1: the rounding of three or more written digits, and no more."""
 
@@ -186,6 +183,25 @@ def is_rotation(convention: Convention, values: Sequence[float]) -> bool:
     return convention != "quaternion" or abs(math.hypot(*values) - 1) <= UNIT_WITHIN
 
 
+def _z_of_quaternion(w: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    """(n, 3) the z axis turned by unit quaternions."""
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], axis=1)
+
+
+def _turned_z(axes: str, angle_rad: FloatArray) -> FloatArray:
+    """(n, 3) the z axis turned by (n, k) angles about k axes: turned ones in upper case, fixed ones in lower case."""
+    turned = [np.zeros(len(angle_rad)), np.zeros(len(angle_rad)), np.ones(len(angle_rad))]
+    about = list(zip(axes.upper(), angle_rad.T, strict=True))
+    for axis, angle in reversed(about) if axes.isupper() else about:
+        i = "XYZ".index(axis)
+        sine, cosine, one, other = np.sin(angle), np.cos(angle), (i + 1) % 3, (i + 2) % 3
+        turned[one], turned[other] = (
+            cosine * turned[one] - sine * turned[other],
+            sine * turned[one] + cosine * turned[other],
+        )
+    return np.stack(turned, axis=1)
+
+
 def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_into_part: bool) -> FloatArray:
     """Unit tool axis (n, 3), from the tip into the spindle, of n orientations.
 
@@ -196,20 +212,14 @@ def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_i
     (``xyz``: FANUC's W, P, R). The tool's z is the rotation's third column; it
     mostly points from the tip into the part.
     """
-    found = np.empty((len(values), 3))
-    for first in range(0, len(values), ROWS):  # a matrix is three times what is asked of it
-        part = values[first : first + ROWS]
-        if convention == "vector":
-            found[first : first + ROWS] = part / np.linalg.norm(part, axis=1, keepdims=True)
-            continue
-        if convention == "rotary_deg":
-            turned = axes.translate(str.maketrans("ABC", "XYZ"))
-            rotation = scipy.spatial.transform.Rotation.from_euler(turned, part, degrees=True)
-        elif convention == "quaternion":
-            rotation = scipy.spatial.transform.Rotation.from_quat(part[:, [1, 2, 3, 0]])
-        elif convention == "euler_deg":
-            rotation = scipy.spatial.transform.Rotation.from_euler(axes, part, degrees=True)
-        else:
-            rotation = scipy.spatial.transform.Rotation.from_rotvec(part)
-        found[first : first + ROWS] = rotation.as_matrix()[:, :, 2]
+    # Only this column is computed: scipy's rotations are matrices, and their import takes longer than a program.
+    if convention == "vector":
+        found = values / np.linalg.norm(values, axis=1, keepdims=True)
+    elif convention == "quaternion":
+        found = _z_of_quaternion(*(values / np.linalg.norm(values, axis=1, keepdims=True)).T)
+    elif convention == "rotation_vector_rad":
+        half = np.linalg.norm(values, axis=1, keepdims=True) / 2
+        found = _z_of_quaternion(np.cos(half[:, 0]), *(np.sinc(half / np.pi) / 2 * values).T)
+    else:
+        found = _turned_z(axes.translate(str.maketrans("ABC", "XYZ")), np.radians(values))
     return np.negative(found, out=found) if tool_z_into_part else found

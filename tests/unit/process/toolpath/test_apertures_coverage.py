@@ -7,6 +7,7 @@ import pytest
 
 from polishd.model.outline import Circle, rectangle
 from polishd.model.surface import FloatArray
+from polishd.process.toolpath import apertures
 from polishd.process.toolpath.apertures import coverage
 
 
@@ -65,3 +66,13 @@ def disc_share(wide_mm: float, high_mm: float, diameter_mm: float) -> float:
     x, y = np.meshgrid(*(np.linspace(-diameter_mm / 2, diameter_mm / 2, 1001),) * 2)
     disc = np.hypot(x, y) <= diameter_mm / 2
     return float(np.mean((np.abs(x) <= wide_mm / 2)[disc] & (np.abs(y) <= high_mm / 2)[disc]))
+
+
+def test_what_is_reached_is_what_lies_within_a_spot_of_the_path() -> None:
+    """Against all distances, for paths within, across and beyond the samples, and none."""
+    rng = np.random.default_rng(2)
+    x, y = np.linspace(-7.0, 7.0, 60), np.linspace(-4.0, 4.0, 50)
+    for spot_mm, count in ((0.3, 200), (2.0, 10), (9.0, 1), (30.0, 1), (1.0, 0)):
+        path = rng.uniform(-9.0, 9.0, (count, 2))
+        away = np.hypot(x[:, None] - path[:, 0], (y[:, None] - path[:, 1])[:, None]).min(axis=2, initial=np.inf)
+        np.testing.assert_array_equal(apertures._reached(path, spot_mm, x, y), away < spot_mm)
