@@ -22,6 +22,19 @@ def test_every_verb_of_the_workbench_is_a_verb_of_polishd() -> None:
     assert app._verbs(app.app) == set(get_command(app.app).commands) > VERBS  # type: ignore[attr-defined]
 
 
+def test_a_given_command_is_built_alone_and_is_the_same_as_among_all() -> None:
+    """A group, a command of plugins and a misspelt one need all others, for lists and suggestions."""
+    everything = app._commands(None)
+    for command in app.app.registered_commands:
+        name = app._name(command)
+        alone, among = app._commands(name), everything.commands[name]
+        assert list(alone.commands) == [name]
+        assert [param.opts for param in alone.params] == [param.opts for param in everything.params]
+        assert [param.opts for param in alone.commands[name].params] == [param.opts for param in among.params]
+    for name in ("map", "tif", "chekc"):
+        assert set(app._commands(name).commands) == set(everything.commands)
+
+
 def test_it_helps_by_itself() -> None:
     said = CliRunner().invoke(workbench, ["--help"])
     assert said.exit_code == 0

@@ -16,13 +16,14 @@ LEFT_OUT = (
 )  # fmt: skip
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SCRIPT = f"""
-import sys
+import gc, sys
 from polishd.__main__ import main
 sys.argv = ["polishd", "check", sys.argv[1], "--json"]
 try:
     main()
 except SystemExit as ended:
     assert not ended.code, ended.code
+assert gc.get_freeze_count() > 100_000, "Python would search all objects for cycles while it ends"
 print("imported:", *(name for name in {LEFT_OUT!r} if name in sys.modules), file=sys.stderr)
 """
 
