@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polishd.model.errors import ComputeError
 from polishd.model.surface import BoolArray, FloatArray
@@ -121,13 +122,20 @@ def modulus_along(patch: FloatArray, side: float, frequency: FloatArray, angle: 
         frequency: (k,) 1/mm.
         angle: direction, rad counterclockwise from the part's x.
     """
-    at = (np.arange(len(patch)) - (len(patch) - 1) / 2) * side
-    x, y = frequency * np.cos(angle), frequency * np.sin(angle)
-    across, down = 2 * np.pi * x[:, None] * at, 2 * np.pi * y[:, None] * at
-    even, odd = np.split(np.concatenate([np.cos(across), np.sin(across)]) @ patch.T, 2)
-    cos, sin = np.cos(down), np.sin(down)
-    real, imaginary = (cos * even + sin * odd).sum(axis=1), (sin * even - cos * odd).sum(axis=1)
-    return np.asarray(np.hypot(real, imaginary) / np.abs(np.sinc(x * side) * np.sinc(y * side)), dtype=np.float64)
+    x, y = frequency * np.cos(angle) * side, frequency * np.sin(angle) * side
+    spectrum = (_waves(x, len(patch)) @ patch.T * _waves(-y, len(patch))).sum(axis=1)
+    return np.asarray(np.abs(spectrum) / np.abs(np.sinc(x) * np.sinc(y)), dtype=np.float64)
+
+
+def _waves(frequency: FloatArray, squares: int) -> NDArray[np.complex128]:
+    """(k, squares) waves of (k,) frequencies, in periods a square, about the middle of the squares.
+
+    By powers of one square's phase: sines and cosines of all would take three times as long.
+    """
+    wave = np.empty((len(frequency), squares), dtype=np.complex128)
+    wave[:, 0] = np.exp(-1j * np.pi * (squares - 1) * frequency)
+    wave[:, 1:] = np.exp(2j * np.pi * frequency)[:, None]
+    return np.asarray(np.cumprod(wave, axis=1), dtype=np.complex128)
 
 
 def _cutoff_period_mm(frequency: FloatArray, modulus: FloatArray, share: float) -> float:

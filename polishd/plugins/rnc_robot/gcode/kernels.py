@@ -78,6 +78,8 @@ X_WORD, I_WORD = 23, 8
 """Letters of the first axis and the first arc offset; the others follow."""
 ARC_TOLERANCE_MM = 0.02
 POW10 = tuple(10.0**digits for digits in range(19))
+LARGEST_MANTISSA = 10**16
+"""It takes another digit below this: 17 in all."""
 LARGEST = 1e9
 FAR = 1e4
 """mm or degrees; no position without a decimal point is so far off."""

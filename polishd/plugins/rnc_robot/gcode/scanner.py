@@ -155,16 +155,14 @@ def _number(text: Any, i: int, end: int, t: Any, at: Any, now: Any, line: Any, w
 
 def _digits(text: Any, i: int, end: int, blanks: int, at: Any) -> tuple[int, int, int, int, int]:
     """Mantissa, digits before the point, decimals, whether there is a point, and where the last of these ends."""
-    mantissa, kept, digits, decimals, point, after = 0, 0, 0, 0, 0, i
+    mantissa, digits, decimals, point, after = 0, 0, 0, 0, i
     at[c.GAPPED] = at[c.PADDED] = 0
     while i < end:
         byte = text[i]
         if byte >= 48 and byte <= 57:
-            if kept < 17 and decimals < c.MOST_DECIMALS:
+            if mantissa < c.LARGEST_MANTISSA and decimals < c.MOST_DECIMALS:
                 mantissa = mantissa * 10 + (byte - 48)
                 decimals += point
-                if mantissa > 0:
-                    kept += 1
             elif point == 0:
                 raise ProgramError("a number beyond any machine", "correct it")
             if digits == 0 and byte == 48:
@@ -420,13 +418,12 @@ def _add_dwell(time: int, scale: float, keep: int, others: int, at: Any, line: A
 # Reads NC text byte by byte: words, modal state, moves, dwells. Plain Python that numba compiles for large programs.
 
 
-def scan(text: Any, stop: int, t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
-    """Read whole lines of ``text[:stop]`` until the program ends; ``at[NEXT]`` says where it stopped."""
+def scan(text: Any, ends: Any, t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
+    """Read lines of ``text``, which have these ``ends``, until the program ends; ``at[NEXT]`` says where it stopped."""
     begin = 0
-    while begin < stop and at[c.ENDED] == 0:
-        end = begin
-        while end < stop and text[end] != 10:
-            end += 1
+    for end in ends:
+        if at[c.ENDED]:
+            break
         at[c.LINE] += 1
         last = end - 1 if end > begin and text[end - 1] == 13 else end
         if end - begin > t.flags[c.LONGEST]:
@@ -436,7 +433,7 @@ def scan(text: Any, stop: int, t: Any, at: Any, now: Any, line: Any, out: Any) -
             if count > 0:
                 take_block(count, t, at, now, line, out)
         begin = end + 1
-    at[c.NEXT] = min(begin, stop)
+    at[c.NEXT] = min(begin, len(text))
 
 
 def _tape(text: Any, begin: int, end: int, t: Any, at: Any) -> bool:

@@ -116,8 +116,11 @@ class Scanner:
         else:
             look, scratch, found = self._compiled(room)
             at, now, data = np.array(self.at), np.array(self._now), np.frombuffer(text, dtype=np.uint8)
+        ends = np.flatnonzero(np.frombuffer(text, dtype=np.uint8) == ord("\n"))
+        if not text.endswith(b"\n"):
+            ends = np.append(ends, len(text))
         try:
-            run(data, len(text), look, at, now, scratch, found)
+            run(data, ends.tolist() if run is scan else ends, look, at, now, scratch, found)
         except ProgramError as error:
             count = int(at[c.LINE]) - self.lines
             lines = text.split(b"\n", count)[:count]

@@ -213,6 +213,7 @@ def tool_axis(convention: Convention, axes: str, values: FloatArray, *, tool_z_i
     mostly points from the tip into the part.
     """
     # Only this column is computed: scipy's rotations are matrices, and their import takes longer than a program.
+    found: FloatArray
     if convention == "vector":
         found = values / np.linalg.norm(values, axis=1, keepdims=True)
     elif convention == "quaternion":
