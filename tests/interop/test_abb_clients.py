@@ -135,7 +135,7 @@ def test_it_gets_events_of_a_variable_and_of_the_execution(client: Any) -> None:
         values = [event.value for event in seen if isinstance(event, rws.VariableValue)]
         return values[-1:] == [value]
 
-    # The client opens its WebSocket in a thread, and reads one resource of a message: values from before the start first.
+    # The client opens its WebSocket in a thread and reads one resource of a message: first wait for its first values.
     until(lambda: got("0"))
     client.start(cycle="once")
     until(lambda: got("3"))
