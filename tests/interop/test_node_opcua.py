@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -119,7 +120,10 @@ def test_its_client_finds_a_cell_as_a_machine(tmp_path: Path) -> None:
     config = load_config(cell_file)
     write_journal(config.state_dir)
     command = [sys.executable, "-m", "polishd.cli.app", "opcua", str(cell_file)]
-    with answering(config.state_dir), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(answering(config.state_dir))
+        server = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        stack.callback(server.terminate)
         assert server.stdout is not None
         url = server.stdout.readline().strip()
         with program("opcua.js", "client", url) as peer:
@@ -136,7 +140,6 @@ def test_its_client_finds_a_cell_as_a_machine(tmp_path: Path) -> None:
             assert seen("Identification", "Colour") == ["absent", "Colour"]
             wait_for(lambda: seen(*CONTROL, "CurrentState") == ["Good", "Running"], "the job under way")
             _it_reads_jobs_and_results(lambda *path: peer.ask(walk=["Machines", config.cell.name, *path], whole=True))
-        server.terminate()
 
 
 def _it_reads_jobs_and_results(read: Callable[..., Any]) -> None:

@@ -17,6 +17,7 @@ from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.transport.address import Tcp, parse_address
 from polishd.drivers.transport.file_delivery import Folder
 from tests.interop.peers import Peer
+from tests.patience import SOON_S
 from tests.programs import plan_of
 from tests.system.sim_rig import Cell, cell
 
@@ -31,7 +32,7 @@ speed = 1.0
 kind = "kuka_kvp"
 port = 0
 """
-SLOW = [b"$VEL.CP=0.02", *(b"LIN {X %d,Y 0,Z 60,A 0,B 0,C 180}" % (2 * at) for at in range(1, 16))]
+SLOW = [b"$VEL.CP=0.005", *(b"LIN {X %d,Y 0,Z 60,A 0,B 0,C 180}" % (2 * at) for at in range(1, 16))]
 TIMES = RobotTimes(silence_s=3.0, watchdog_s=8.0, lifts=False)
 
 
@@ -69,8 +70,8 @@ def client(address: Tcp) -> Iterator[Any]:
 
 
 async def shows(client: Any, name: str, value: bytes) -> None:
-    async with asyncio.timeout(10.0):
-        while client.read(name, debug=False) != value:  # noqa: ASYNC110 -- it tells nobody
+    async with asyncio.timeout(SOON_S):
+        while client.read(name, debug=False) != value:  # noqa: ASYNC110 -- KUKAVARPROXY sends no events
             await asyncio.sleep(0.02)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.interop.peers import Peer
-from tests.interop.test_abb_clients import MODULE, SIM, until
+from tests.interop.test_abb_clients import MODULE, SIM, UNENDING, until
 from tests.system.sim_rig import Cell, cell
 
 PEER = Peer("rwswrap", "Robot Web Services 2.0", "client", "PyPI", "rwswrap")
@@ -33,11 +33,11 @@ def client(running: Cell) -> Iterator[Any]:
     found.session.close()
 
 
-def put(client: Any) -> None:
-    """What this client has no call for: the upload."""
+def put(client: Any, module: str = MODULE) -> None:
+    """Upload a module, which this client has no call for."""
     headers = {"Content-Type": "application/octet-stream;v=2.0"}
     url = f"{client.base_url}/fileservice/$HOME/interop.modx"
-    assert client.session.put(url, MODULE.encode(), headers=headers, verify=False).status_code == 201
+    assert client.session.put(url, module.encode(), headers=headers, verify=False).status_code == 201
 
 
 def test_it_loads_a_module_starts_it_and_reads_its_variables(client: Any) -> None:
@@ -53,7 +53,7 @@ def test_it_loads_a_module_starts_it_and_reads_its_variables(client: Any) -> Non
 
 
 def test_it_replaces_the_module_and_stops_the_program(client: Any) -> None:
-    put(client)
+    put(client, UNENDING)
     assert client.load_module("interop").status_code == 204
     assert client.start_RAPID().status_code == 204
     until(client.is_running)

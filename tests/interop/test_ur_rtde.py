@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from typing import Any
 
 import pytest
@@ -18,6 +18,7 @@ from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from tests.interop.peers import Peer
+from tests.patience import SOON_S
 from tests.programs import plan_of
 from tests.system.sim_rig import Cell, cell
 
@@ -35,7 +36,11 @@ port = {RTDE}
 dashboard_port = {DASHBOARD}
 primary_port = {PRIMARY}
 """
-SLOW = [b"movel(p[%.3f, 0, 0.06, 3.14159, 0, 0], a=1, v=0.02)" % (0.002 * at) for at in range(1, 21)]
+QUICK, SLOW = (
+    [b"movel(p[%.3f, 0, 0.06, 3.14159, 0, 0], a=1, v=%g)" % (0.002 * at, speed) for at in range(1, 21)]
+    for speed in (0.02, 0.004)
+)
+"""To their end in 2 s; and so slow that they are not over before the peer has acted."""
 TIMES = RobotTimes(silence_s=3.0, watchdog_s=8.0)
 RUNNING, NORMAL, STOPPED, PLAYING = 7, 1, 1, 2
 
@@ -82,12 +87,13 @@ def dashboard(running: Cell) -> Iterator[Any]:
 
 
 async def until(condition: Callable[[], Any]) -> None:
-    while not condition():  # noqa: ASYNC110 -- ur_rtde tells nobody
-        await asyncio.sleep(0.01)
+    async with asyncio.timeout(SOON_S):
+        while not condition():  # noqa: ASYNC110 -- ur_rtde has no events
+            await asyncio.sleep(0.01)
 
 
-async def load(robot: UniversalRobot) -> None:
-    plan = plan_of(SLOW)
+async def load(robot: UniversalRobot, lines: Sequence[bytes] = SLOW) -> None:
+    plan = plan_of(lines)
     await robot.prepare(plan)
     await robot.send(plan.segments)
 
@@ -105,10 +111,10 @@ async def test_both_see_the_same_machine_at_rest_and_in_motion(robot: UniversalR
     assert (receive.getRobotMode(), receive.getSafetyMode()) == (RUNNING, NORMAL)
     assert receive.getTargetSpeedFraction() == 1.0
     began_s = receive.getTimestamp()
-    await load(robot)
+    await load(robot, QUICK)
     await until(lambda: receive.getRuntimeState() == PLAYING)
     await robot.resume()
-    blocks = await executed(robot, len(SLOW))
+    blocks = await executed(robot, len(QUICK))
     await until(lambda: receive.getRuntimeState() == STOPPED)
     assert receive.getTargetTCPPose()[:3] == pytest.approx([0.040, 0.0, 0.060], abs=1e-6)
     assert max(map(abs, receive.getTargetTCPSpeed())) == 0.0
@@ -161,8 +167,8 @@ async def test_its_registers_and_ours_do_not_meet(robot: UniversalRobot) -> None
     other = rtde_io.RTDEIOInterface(HOST, False, True)
     try:
         assert other.setInputIntRegister(43, 17)
-        await load(robot)
+        await load(robot, QUICK)
         await robot.resume()
-        assert len(await executed(robot, len(SLOW))) == len(SLOW)
+        assert len(await executed(robot, len(QUICK))) == len(QUICK)
     finally:
         other.disconnect()
