@@ -408,7 +408,8 @@ async def executed(robot: Robot, count: int) -> list[ExecutedBlock]:
 
 # along the part, so that the actuator still finds it
 LINES = [b"G21 G90 G94", b"G0 X0 Y0 Z0", *(b"G1 X%.1f Y%.1f F300" % (0.1 * k, -0.1 * k) for k in range(1, 60)), b"M2"]
-SLOW = [line.replace(b"F300", b"F60") for line in LINES]
+SLOW = [line.replace(b"F300", b"F20") for line in LINES]
+"""More than a second on the wall, so that it is not over before a busy machine has held it."""
 
 
 @pytest.fixture

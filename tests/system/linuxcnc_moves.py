@@ -20,9 +20,9 @@ from tests.programs import plan_of
 
 START, CORNER, DWELL, END = 3, 7, 8, 10
 BLOCKS = [b"G21 G90 G94 G61", b"G0 X0 Y0 Z50 A-10 C20", b"(land)"]
-BLOCKS += [b"G1 X%d A%d C%d F1200" % (x, -10 - x, 20 + 2 * x) for x in (2, 4, 6, 8)]
-BLOCKS += [b"G91 G1 Y4 C2", b"G4 P0.6", b"G1 Y1", b"G90 G1 X0", b"M2"]
-"""All five axes at once."""
+BLOCKS += [b"G1 X%d A%d C%d F300" % (x, -10 - x, 20 + 2 * x) for x in (2, 4, 6, 8)]
+BLOCKS += [b"G91 G1 Y4 C2 F1200", b"G4 P2", b"G1 Y1", b"G90 G1 X0", b"M2"]
+"""All five axes at once. The first moves and the dwell are so long that they are not over before a hold comes."""
 
 
 async def until(robot: Robot, executed: int) -> None:
@@ -52,7 +52,7 @@ async def main(port: int, folder: Path) -> dict[str, Any]:
     said["held"] = await _at(robot)
     await robot.resume(until=END)
     await until(robot, CORNER)
-    await asyncio.sleep(0.4)  # the move takes 0.24 s, the dwell 0.6 s; nothing tells where one ends
+    await asyncio.sleep(1.0)  # the move takes 0.24 s, the dwell 2 s; LinuxCNC does not report where one ends
     await robot.hold()
     said["in_dwell"] = await _at(robot)
     await robot.resume(until=END)

@@ -88,14 +88,14 @@ class Cell:
         return dict(json.loads(done.stdout))
 
     def linuxcncrsh(self, *lines: str) -> list[str]:
-        """Say hello, then these lines, on a connection of our own; all that it answers."""
+        """Say hello, then these ``get NAME``; all that it answers, up to the line that begins with the last name."""
         talk = (
             "import socket,sys\n"
-            "s=socket.create_connection(('127.0.0.1',int(sys.argv[1])),5);s.settimeout(0.3)\n"
+            "s=socket.create_connection(('127.0.0.1',int(sys.argv[1])))\n"
             "s.sendall(('\\r\\n'.join(['hello EMC test 1.0',*sys.argv[2:]])+'\\r\\n').encode())\n"
-            "try:\n"
-            " while d:=s.recv(4096): sys.stdout.write(d.decode())\n"
-            "except TimeoutError: pass\n"
+            "for line in s.makefile():\n"
+            " sys.stdout.write(line)\n"
+            " if line.strip().startswith(sys.argv[-1].split()[1].upper()): break\n"
         )
         command = [*self.inside, sys.executable, "-c", talk, str(_port(self.files)), *lines]
         said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=SOON_S).stdout

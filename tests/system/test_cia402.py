@@ -81,13 +81,13 @@ def drivers(running: Cell) -> tuple[Cia402Spindle, Cia402Actuator]:
     assert isinstance(spindle_bus, SocketcandAddress)
     assert isinstance(actuator_bus, SlcanAddress)
     spindle = Cia402Spindle(
-        CanNodeAddress(spindle_bus, 5, 0x45, silence_s=3.0, watchdog_s=1.0),
+        CanNodeAddress(spindle_bus, 5, 0x45, silence_s=3.0, watchdog_s=3.0),
         read_dictionary(EDS, 5),
         SpindleScale(0.1),
         SpindleTimes(silence_s=3.0),
     )
     actuator = Cia402Actuator(
-        CanNodeAddress(actuator_bus, 6, 0x46, silence_s=3.0, watchdog_s=1.0),
+        CanNodeAddress(actuator_bus, 6, 0x46, silence_s=3.0, watchdog_s=3.0),
         read_dictionary(EDS, 6),
         ActuatorScale(0.05, 0.001, balance_n=2.0),
         ActuatorTimes(silence_s=3.0),

@@ -101,7 +101,7 @@ def test_little_memory_left_is_told_in_contact_and_holds_the_cell(files: DemoFil
         require_safe_order(events(files))
         resource.prlimit(daemon.process.pid, resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         before = len(events(files))
-        assert daemon.status()["state"] == "held"
+        daemon.wait_for_state("held")
         assert not moved(events(files)[before:])
         assert daemon.end() == HostFault.exit_code
     require_goes_on(files)
@@ -119,7 +119,9 @@ def test_a_process_without_memory_leaves_contact_and_says_so(files: DemoFiles, g
         )
         require_safe_order(events(files))
         wait_for(lambda: daemon.process.poll() is not None or daemon.status().get("state") == "held", "its end")
-        reason = summary(files)["reason"] if daemon.process.poll() is not None else daemon.status()["reason"]
+        reason = (
+            summary(files)["reason"] if daemon.process.poll() is not None else daemon.wait_for_state("held")["reason"]
+        )
         assert "out of memory" in reason or "process_memory_mb" in reason, reason
         if daemon.process.poll() is None:
             daemon.end()

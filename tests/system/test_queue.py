@@ -88,8 +88,7 @@ def test_parts_without_a_person_and_one_that_comes_while_it_runs(tmp_path: Path)
     with queue_cell(tmp_path / "cell") as files:
         add(files, ("one", "P-1"))
         with Daemon(files, "--queue") as daemon:
-            daemon.wait_for_state("polishing")
-            assert daemon.status()["job"] == "one"
+            assert daemon.wait_for_state("polishing")["job"] == "one"
             add(files, ("two", "P-2"))
             wait_for(lambda: states(files) == {"one": "accepted", "two": "accepted"}, "both parts")
             daemon.wait_for_state("idle")

@@ -34,12 +34,8 @@ TOUCH, LEAVE = 3, len(RASTER) - 2
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    """One cell for the tests that leave it as they found it.
-
-    Its spindle is patient: a test that is starved for a second falls silent, and would polish with a drive that stands.
-    """
-    patient = SMALL
-    with cell(tmp_path_factory.mktemp("cell"), patient, "--seed", "5", "--speed", "20") as running:
+    """One cell for the tests that leave it as they found it."""
+    with cell(tmp_path_factory.mktemp("cell"), SMALL, "--seed", "5", "--speed", "20") as running:
         yield running
 
 
