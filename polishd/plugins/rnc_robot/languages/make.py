@@ -18,9 +18,8 @@ from polishd.plugins.rnc_robot.languages.columns import is_rotation
 from polishd.plugins.rnc_robot.languages.move_times import (
     MISFIT,
     WrittenNumber,
-    carried_s,
+    carried_speed,
     misfit,
-    speed_number,
     time_number,
     unnumbered,
 )
@@ -188,10 +187,8 @@ class _Maker:
             pose["timing"] = rules.time.replace("<t>", number.plain.decode())
             return [self._filled(form.move, pose)]
         factor = self.profile.feed_units_mm_min[rules.speed_unit]
-        wanted_s = new_s if waits else carried_s(new_s, self.residue_s)
-        number = self._kept(
-            k, length_mm, new_s, speed_number(rules, length_mm, wanted_s, factor), factor, carry=not waits
-        )
+        number = carried_speed(rules, length_mm, new_s, 0.0 if waits else self.residue_s, factor)
+        self._kept(k, length_mm, new_s, number, factor, carry=not waits)
         before = []
         if rules.feed_line:
             if number.plain != self.holds:

@@ -113,11 +113,6 @@ def speed_number(rules: MoveTime, length_mm: float, wanted_s: float, factor: flo
     return WrittenNumber(round(steps * quantum * 10**decimals), decimals, 60 * length_mm / (steps * quantum * factor))
 
 
-def carried_s(new_s: float, residue_s: float) -> float:
-    """The time to write for a wanted one and what rounding left before, of which a part is carried on at most."""
-    return new_s + float(np.clip(residue_s, -COARSE / 2 * new_s, COARSE / 2 * new_s))
-
-
 def misfit(rules: MoveTime, length_mm: float, new_s: float, number: WrittenNumber, factor: float | None) -> str:
     """Why a move cannot state its time by that number; empty if it can. ``factor``: of a speed, None: of a time."""
     speed, least, greatest = length_mm / max(number.time_s, 1e-12), rules.least_mm_s, rules.greatest_mm_s
@@ -131,6 +126,15 @@ def misfit(rules: MoveTime, length_mm: float, new_s: float, number: WrittenNumbe
             f"a time of {new_s:.6g} s is {length_mm / new_s:.6g} mm/s, and speeds are written in steps of {step:g} mm/s"
         )
     return ""
+
+
+def carried_speed(rules: MoveTime, length_mm: float, new_s: float, residue_s: float, factor: float) -> WrittenNumber:
+    """The number of a speed for a time and a part of the residue before; for the time alone where that cannot be."""
+    part_s = float(np.clip(residue_s, -COARSE / 2 * new_s, COARSE / 2 * new_s))
+    number = speed_number(rules, length_mm, new_s + part_s, factor)
+    if misfit(rules, length_mm, new_s, number, factor):
+        return speed_number(rules, length_mm, new_s, factor)
+    return number
 
 
 MISFIT = (
@@ -165,7 +169,7 @@ class _Writer:
 
     def speed(self, row: int, length_mm: float, new_s: float, factor: float) -> WrittenNumber:
         """The number of a move's speed."""
-        number = speed_number(self.rules, length_mm, carried_s(new_s, self.residue_s), factor)
+        number = carried_speed(self.rules, length_mm, new_s, self.residue_s, factor)
         return self._kept(row, length_mm, new_s, number, factor)
 
     def _kept(

@@ -14,7 +14,7 @@ from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.formats import path_program, read, rewrite
 from polishd.plugins.rnc_robot.languages import read as read_language
-from polishd.plugins.rnc_robot.languages.move_times import COARSE
+from polishd.plugins.rnc_robot.languages.move_times import COARSE, carried_speed, misfit
 from polishd.plugins.rnc_robot.verify import verify
 from tests.unit.plugins.rnc_robot.languages.robot_programs import HEAD, LANGUAGES, TAIL, profile
 
@@ -221,6 +221,18 @@ def test_steps_of_a_speed_add_up_to_no_more_than_one_of_them() -> None:
     step_s = 0.1 / 2.83 * wanted.max()
     assert np.abs(found.time_s - wanted).max() > 0.01 * wanted.min()
     assert np.abs(np.cumsum(found.time_s - wanted)).max() <= 0.51 * step_s
+
+
+@pytest.mark.parametrize("residue_s", [-9.0, 9.0])
+@pytest.mark.parametrize("speed_mm_s", ["least", "greatest", 0.992, 1.1005, 2.5])
+def test_a_residue_makes_no_move_refused_that_fits_without_it(speed_mm_s: str | float, residue_s: float) -> None:
+    """At the limits of a speed, and where the next step of it misses the time by more than a tenth."""
+    rules = profile("inform").move_time
+    assert rules is not None
+    speed = speed_mm_s if isinstance(speed_mm_s, float) else getattr(rules, f"{speed_mm_s}_mm_s")
+    number = carried_speed(rules, 1.0, 1.0 / speed, residue_s, 60.0)
+    assert misfit(rules, 1.0, 1.0 / speed, number, 60.0) == ""
+    assert number.time_s == pytest.approx(1.0 / speed, rel=COARSE)
 
 
 REFUSED = [
