@@ -29,7 +29,7 @@ class Variable(ConfigSection):
 
     address: Text
     """Its address: a node (`ns=2;s=...`, `nsu=URI;s=...`) for opcua, a symbol (`MAIN.state`) for ads, a register
-    (`holding:40`, `input:7`, `coil:3`, `discrete:0`) for modbus, a variable (`D010`) or a word of the controller
+    (`holding:40`, `input:7`, `coil:3`, `discrete:0`) for modbus, a variable (`D010`) or a value of the status
     (`job.line`) for hses."""
     type: Kind
     """Its data type. Modbus has no `string`."""

@@ -63,7 +63,7 @@ def _content(path: Path, below: tuple[Path, ...]) -> tuple[dict[str, Any], tuple
         raise ConfigError(source.error(("extends",), problem))
     parent = FOLDER / f"{base}.toml" if base in DIALECTS else path.parent / base
     if parent.resolve() in (path.resolve(), *below):
-        problem = f"{base!r} comes back to where it began; break the circle"
+        problem = f"{base!r} extends this file again, in a circle; remove one of these keys"
         raise ConfigError(source.error(("extends",), problem))
     under, sources = _content(parent, (*below, path.resolve()))
     return _laid_over(under, content), (*sources, source)
