@@ -163,7 +163,7 @@ def _place(options: PlcRobotOptions, context: DeviceContext, port: int) -> Remot
 
 def _hses_address(address: str) -> Tcp:
     """Return host and port of ``hses://host:10040``."""
-    if found := _HSES.fullmatch(address):
+    if (found := _HSES.fullmatch(address)) and 0 < int(found["port"]) < 65536:
         return Tcp(found["host"], int(found["port"]))
     raise ConfigError(f"address {address!r}: write hses://host:10040")
 
@@ -171,7 +171,7 @@ def _hses_address(address: str) -> Tcp:
 def _ads_address(address: str) -> tuple[str, str, int]:
     """Return host, net id and port of ``ads://host/1.2.3.4.1.1:851``."""
     found = _ADS.fullmatch(address)
-    if found is None or not all(int(part) < 256 for part in found["netid"].split(".")):
+    if found is None or not all(int(part) < 256 for part in found["netid"].split(".")) or int(found["port"]) > 65535:
         raise ConfigError(f"address {address!r}: write ads://host/NETID:PORT, for example ads://plc/5.1.2.3.1.1:851")
     return found["host"], found["netid"], int(found["port"])
 

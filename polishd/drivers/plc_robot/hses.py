@@ -8,6 +8,7 @@ YaskawaRobot (Palatis) sends them to a controller. Nothing here was tried on a c
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 import struct
 import time
@@ -91,7 +92,7 @@ def answer_of(datagram: bytes) -> HsesAnswer | None:
     return HsesAnswer(number, service & ~ANSWERS, status, added if words else 0, data)
 
 
-# What a profile can name: variables of the controller by letter and number, its own words, and orders.
+# What a profile can name: variables of the controller by letter and number, values of its status, and orders.
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +112,11 @@ LETTERS = {
     "S": Letter(0x8C, "<32s", ("string",)),
 }
 """S: the command for 32 characters; a DX100 has only the one for 16."""
+MOST_TEXT = 32
 _WHOLE: tuple[Kind, ...] = ("int16", "uint16", "int32", "uint32")
 _FLAG: tuple[Kind, ...] = ("bool",)
 _TEXT: tuple[Kind, ...] = ("string",)
-WORDS: Mapping[str, tuple[Kind, ...]] = {
+STATUS_VALUES: Mapping[str, tuple[Kind, ...]] = {
     "status.state": _TEXT, "status.running": _FLAG, "status.held": _FLAG, "status.held_by_command": _FLAG,
     "status.alarm": _FLAG, "status.error": _FLAG, "status.teach": _FLAG, "status.remote": _FLAG,
     "status.servo_on": _FLAG, "job.name": _TEXT, "job.line": _WHOLE, "job.step": _WHOLE, "job.override": _WHOLE,
@@ -131,9 +133,18 @@ MOST_NAME = 32
 class HsesVariable:
     """A variable such as D010."""
 
-    letter: Letter
-    number: int
+    address: str
     kind: Kind
+
+    @property
+    def letter(self) -> Letter:
+        """Return its kind in the controller."""
+        return LETTERS[self.address[0]]
+
+    @property
+    def number(self) -> int:
+        """Return its number in the controller."""
+        return int(self.address[1:])
 
     @property
     def read(self) -> HsesRequest:
@@ -151,25 +162,26 @@ class HsesVariable:
     def write(self, value: Value) -> HsesRequest:
         """Return the request that sets it. ProtocolError if the value does not fit."""
         raw = value.encode("latin-1", "replace") if isinstance(value, str) else value
+        if isinstance(raw, bytes) and len(raw) > MOST_TEXT:  # struct.pack would cut it
+            raise ProtocolError(f"{value!r} does not fit into {self.address}: at most {MOST_TEXT} characters")
         try:
             data = struct.pack(self.letter.form, raw)
-        except struct.error as error:
-            raise ProtocolError(f"{value!r} does not fit into a variable of the controller: {error}") from error
+        except (struct.error, OverflowError) as error:
+            raise ProtocolError(f"{value!r} does not fit into {self.address}: {error}") from error
         return HsesRequest(self.letter.command, self.number, 1, SET, data)
 
 
 HsesPlace = HsesVariable | str
-"""A variable, or the name of a word or an order."""
+"""A variable, or the name of a value of the status or of an order."""
 
 
 def place(name: str, variable: Variable, role: Literal["read", "written"]) -> HsesPlace:
     """Return what an address names. ConfigError if it names nothing, or something of another type."""
     address = variable.address
-    known = WORDS if role == "read" else ORDERS
+    known = STATUS_VALUES if role == "read" else ORDERS
     found: HsesPlace = address
     if numbered := _NUMBERED.fullmatch(address):
-        letter = LETTERS[numbered[1]]
-        kinds, found = letter.kinds, HsesVariable(letter, int(numbered[2]), variable.type)
+        kinds, found = LETTERS[numbered[1]].kinds, HsesVariable(address, variable.type)
     elif address in known:
         kinds = known[address]
     else:
@@ -178,10 +190,12 @@ def place(name: str, variable: Variable, role: Literal["read", "written"]) -> Hs
         )
     if variable.type not in kinds:
         raise ConfigError(f"variables.{name}.type {variable.type!r}: {address} is one of {', '.join(kinds)}")
+    if role == "written" and address[0] == "B" and variable.type != "bool":  # the heartbeat counts to 32767
+        raise ConfigError(f"variables.{name}.address {address!r}: B holds 0 to 255, write an I or D variable")
     return found
 
 
-# The controller's own words, from the data of its status, its executing job, its alarm and its position.
+# Values of the status, from the data of the controller's status, executing job, alarm and position.
 
 ONE_CYCLE, RUNNING, TEACH, REMOTE = 0x02, 0x08, 0x20, 0x80
 """Bits of the first word of the status, ..."""
@@ -193,17 +207,36 @@ SYSTEM = HsesRequest(0x89, 11, 0, GET_ALL)
 _STATUS, _JOB, _ALARM = struct.Struct("<II"), struct.Struct("<32sIII"), struct.Struct("<III16s32s")
 _POSITION, _SYSTEM = struct.Struct("<5I8i"), struct.Struct("<24s16s8s")
 STANDS_UNITS = 5
-"""Change of an axis between two readings that is none: um, or 0.0001 deg."""
+"""Change of an axis within ``STANDS_S`` that is none: um, or 0.0001 deg."""
+STANDS_S = 0.2
+"""Longer than a controller takes to update its position, and than most intervals of readings."""
 
 
-def words(status: bytes, job: bytes, alarm: bytes = b"", *, moves: bool = False) -> dict[str, Value]:
-    """Return the value of each of ``WORDS``. ``alarm``: empty without one.
+class Standstill:
+    """Whether the axes move, from their positions: down to 25 um/s, however often they are read."""
+
+    def __init__(self) -> None:
+        self._axes: tuple[int, ...] | None = None
+        self._moved_s = -math.inf
+
+    def moves(self, now_s: float, axes: tuple[int, ...]) -> bool:
+        """Return whether an axis has changed within the last ``STANDS_S``. False for the first position."""
+        if self._axes is None:
+            self._axes = axes
+        elif any(abs(now - was) > STANDS_UNITS for now, was in zip(axes, self._axes, strict=True)):
+            self._axes, self._moved_s = axes, now_s
+        return now_s - self._moved_s < STANDS_S
+
+
+def status_values(status: bytes, job: bytes, alarm: bytes = b"", *, moves: bool = False) -> dict[str, Value]:
+    """Return the value of each of ``STATUS_VALUES``. ``alarm``: empty without one.
 
     ``status.state`` is ``fault`` (no job could run as written, see ``alarm.text``), ``running``, ``top`` (stands at
     line 0: selected, or ended) or ``stopped``.
     """
     one, two = _STATUS.unpack(status)
     name, line, step, override = _JOB.unpack(job)
+    job_name = _text(name)
     code, _, _, _, text = _ALARM.unpack(alarm) if alarm else (0, 0, 0, b"", b"")
     if two & (ALARM | ERROR):
         why = f"{'alarm' if two & ALARM else 'error'} {code}: {_text(text)}"
@@ -218,8 +251,8 @@ def words(status: bytes, job: bytes, alarm: bytes = b"", *, moves: bool = False)
         "status.state": state, "status.running": bool(one & RUNNING), "status.held": bool(two & HELD),
         "status.held_by_command": bool(two & HELD_BY_COMMAND), "status.alarm": bool(two & ALARM),
         "status.error": bool(two & ERROR), "status.teach": bool(one & TEACH), "status.remote": bool(one & REMOTE),
-        "status.servo_on": bool(two & SERVO_ON), "job.name": _text(name) + ENDING, "job.line": line, "job.step": step,
-        "job.override": override, "alarm.code": code, "alarm.text": why, "position.moves": moves,
+        "status.servo_on": bool(two & SERVO_ON), "job.name": job_name and job_name + ENDING, "job.line": line,
+        "job.step": step, "job.override": override, "alarm.code": code, "alarm.text": why, "position.moves": moves,
     }  # fmt: skip
 
 
@@ -265,7 +298,7 @@ class Hses:
     """Variables of the controller at ``host:port``. This computer's clock times the readings.
 
     One request is under way at a time. Without an answer a reading is asked for again until ``silence_s`` is over, and
-    so is what may be said twice: hold on, and the value of a variable. Any other order is sent once: a job that ran to
+    so is what may be sent twice: hold on, and the value of a variable. Any other order is sent once: a job that ran to
     its next pause and got a second start would pass the pause. Answers to other requests are dropped.
     """
 
@@ -286,8 +319,7 @@ class Hses:
         """Time halfway between the last request and its answer."""
         self._service = 0
         self._found: asyncio.Future[HsesAnswer] | None = None
-        self._axes: tuple[int, ...] | None = None
-        """Position of the last reading."""
+        self._standstill = Standstill()
         self._claimed = Claim()
 
     async def open(self) -> None:
@@ -298,7 +330,7 @@ class Hses:
             await self._connect()
             for spot in self._orders.values():
                 if isinstance(spot, HsesVariable):
-                    await self._data(spot.read, f"read {spot.number}")
+                    await self._data(spot.read, f"read {spot.address}")
             await self.read()
         except BaseException:
             await self.close()
@@ -307,7 +339,7 @@ class Hses:
     async def close(self) -> None:
         """See Variables."""
         transport, self._transport = self._transport, None
-        self._axes = None
+        self._standstill = Standstill()
         if transport is not None:
             transport.close()
         self.failed(ConnectionError("the link is closed"))
@@ -321,8 +353,8 @@ class Hses:
     async def read(self) -> VariableSnapshot:
         """See Variables. The time is that of the line; the status is read after it."""
         spots = [spot for spot in self._places.values() if isinstance(spot, HsesVariable)]
-        variables = {spot: spot.value(await self._data(spot.read, f"read {spot.number}")) for spot in spots}
-        found, line_s = await self._read_words()
+        variables = {spot: spot.value(await self._data(spot.read, f"read {spot.address}")) for spot in spots}
+        found, line_s = await self._read_status()
         values = {}
         for name, spot in self._places.items():
             value = variables[spot] if isinstance(spot, HsesVariable) else found[spot]
@@ -368,8 +400,8 @@ class Hses:
         except OSError as error:  # TimeoutError is one
             raise LinkError(f"{self._name}: cannot be opened: {error}") from error
 
-    async def _read_words(self) -> tuple[dict[str, Value], float]:
-        """Return the words, and the time of the line."""
+    async def _read_status(self) -> tuple[dict[str, Value], float]:
+        """Return the values of the status, and the time of the line."""
         job = await self._data(JOB, "read the job", _JOB.size)
         line_s = self._answered_s
         status = await self._data(STATUS, "read the status", _STATUS.size)
@@ -378,13 +410,11 @@ class Hses:
         moves = False
         if "position.moves" in self._places.values():
             axes = _POSITION.unpack(await self._data(POSITION, "read the position", _POSITION.size))[5:]
-            before = axes if self._axes is None else self._axes
-            moves = any(abs(now - was) > STANDS_UNITS for now, was in zip(axes, before, strict=True))
-            self._axes = axes
-        return words(status, job, alarm, moves=moves), line_s
+            moves = self._standstill.moves(self._answered_s, axes)
+        return status_values(status, job, alarm, moves=moves), line_s
 
     async def _hold(self, request: HsesRequest) -> str:
-        """Ask for a hold until it is taken or no job runs: a key that is turned stops the job, and refuses the hold.
+        """Repeat the hold until the controller accepts it or no job runs: with the key turned, it refuses a hold.
 
         Return the refusal after ``silence_s``, or an empty text.
         """
@@ -423,14 +453,15 @@ class Hses:
                     done, _ = await asyncio.wait({self._found}, timeout=min(self._again_s, left_s) if again else left_s)
                     if done:
                         return self._found.result()
+                why = f"does not answer within {self._silence_s:g} s"
             except OSError as error:
-                raise LinkError(f"{self._name}: does not answer: {error}") from error
+                why = f"does not answer: {error}"
             finally:
                 self._found = None
                 self._asked.clear()
         await self.close()
         unknown = "" if again else f"; whether command {request.command:#04x} was executed is unknown"
-        raise LinkError(f"{self._name}: does not answer within {self._silence_s:g} s{unknown}")
+        raise LinkError(f"{self._name}: {why}{unknown}")
 
     def _send(self, request: HsesRequest) -> None:
         if self._transport is None:

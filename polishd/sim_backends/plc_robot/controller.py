@@ -184,7 +184,7 @@ class Plc:
         return self._alarm[0] == EMERGENCY_STOP
 
     def is_silent(self, now_s: float) -> bool:
-        """The watchdog has stopped the program, and still hears no client."""
+        """The watchdog has stopped the program, and still receives no heartbeat."""
         return self.motion.detail == "watchdog" and now_s - self._heartbeat_s > self.config.watchdog_s
 
     def start(self, now_s: float) -> None:

@@ -289,6 +289,7 @@ class SimDatagrams(asyncio.DatagramProtocol):
             return
         if addr not in self._clients:
             self._meet(addr)
+        self._clients[addr] = self._clients.pop(addr)  # the one that has sent nothing for longest is the first
         self._clients[addr][0].send(data)
 
     def _meet(self, addr: tuple[str, int]) -> None:

@@ -60,6 +60,8 @@ def test_robots_are_built_closed(tmp_path: Path, options: dict[str, str]) -> Non
         ({**ADS, "address": "ads://plc:851"}, r"address 'ads://plc:851': write ads://host/NETID:PORT"),
         ({**ADS, "address": "ads://plc/5.1.2.300.1.1:851"}, "write ads:"),
         ({**HSES, "address": "udp://a:10040"}, r"address 'udp://a:10040': write hses://host:10040"),
+        ({**HSES, "address": "hses://a:99999"}, r"address 'hses://a:99999': write hses://host:10040"),
+        ({**ADS, "address": "ads://plc/5.1.2.3.1.1:70000"}, "write ads:"),
         ({**MODBUS, "address": "serial:/dev/ttyS0"}, r"modbus runs over tcp://"),
         ({**OPCUA, "delivery": "nfs:x"}, "delivery 'nfs:x': write folder:PATH"),
         ({**OPCUA, "delivery": "ftp://host/nc"}, "write ftp://user@host/PATH"),

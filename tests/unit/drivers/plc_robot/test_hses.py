@@ -18,15 +18,15 @@ from polishd.api import ConfigError, DeviceFault, DeviceRefused, LinkError, Prot
 from polishd.config.controller_profile import ControllerProfile, Variable, load_controller_profile
 from polishd.drivers.plc_robot.driver import PlcRobot
 from polishd.drivers.plc_robot.hses import (
-    LETTERS,
     STATUS,
     Hses,
     HsesAnswer,
     HsesVariable,
+    Standstill,
     answer_of,
     order_of,
     place,
-    words,
+    status_values,
 )
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.file_delivery import Folder
@@ -49,7 +49,7 @@ FIRST = JOB.index(b"NOP")
 
 def test_a_request_is_what_the_manual_says() -> None:
     assert STATUS.packed(7) == bytes.fromhex(f"{HEAD} 0000 03 01 00 07 00000000 3939393939393939 7200 0100 00 01 0000")
-    write = HsesVariable(LETTERS["D"], 10, "int32").write(-2).packed(255)
+    write = HsesVariable("D010", "int32").write(-2).packed(255)
     assert write == bytes.fromhex(f"{HEAD} 0400 03 01 00 ff 00000000 3939393939393939 7c00 0a00 01 10 0000 feffffff")
 
 
@@ -83,10 +83,10 @@ def test_what_is_no_answer_is_none(junk: bytes) -> None:
         (0xC4, 0x40, 0, "fault", "the cycle is not 1 CYCLE: the job would begin again at its end"),
     ],
 )
-def test_words_of_a_status(one: int, two: int, line: int, state: str, why: str) -> None:
+def test_values_of_a_status(one: int, two: int, line: int, state: str, why: str) -> None:
     job = b"POLISH".ljust(32, b"\0") + struct.pack("<III", line, 3, 7500)
     alarm = struct.pack("<III16s32s", 4107, 0, 1, b"2026/11/29 12:00", b"OUT OF RANGE")
-    found = words(struct.pack("<II", one, two), job, alarm if two & 0x30 else b"")
+    found = status_values(struct.pack("<II", one, two), job, alarm if two & 0x30 else b"")
     assert (found["status.state"], found["alarm.text"], found["job.name"]) == (state, why, "POLISH.JBI")
     assert (found["job.line"], found["job.override"]) == (line, 7500)
 
@@ -104,6 +104,7 @@ def variable(address: str, kind: str) -> Variable:
         ("job.line", "int32", "written", "or one of hold, start, reset, select"),
         ("D010", "float", "read", "type 'float': D010 is one of bool, int32"),
         ("job.name", "int32", "read", "job.name is one of string"),
+        ("B010", "int16", "written", "B holds 0 to 255, write an I or D variable"),
     ],
 )
 def test_addresses_that_are_none(address: str, kind: str, role: Any, said: str) -> None:
@@ -112,13 +113,26 @@ def test_addresses_that_are_none(address: str, kind: str, role: Any, said: str) 
 
 
 def test_values_that_do_not_fit_and_names_that_are_none() -> None:
-    with pytest.raises(ProtocolError, match="300 does not fit"):
-        HsesVariable(LETTERS["B"], 1, "uint16").write(300)
+    with pytest.raises(ProtocolError, match="300 does not fit into B001"):
+        HsesVariable("B001", "uint16").write(300)
+    with pytest.raises(ProtocolError, match="fit into R001"):
+        HsesVariable("R001", "double").write(1e300)
+    with pytest.raises(ProtocolError, match="S001: at most 32 characters"):
+        HsesVariable("S001", "string").write("x" * 33)
     (select,) = order_of("select", "C:\\JOB\\POLISH.JBI")
     assert select.data == b"POLISH".ljust(36, b"\0")
     for name in ("", "J" * 33, "D\xfcse"):
         with pytest.raises(ProtocolError, match="is no name of a job"):
             order_of("select", name)
+
+
+def test_creep_is_no_standstill_and_the_end_of_a_move_is_seen() -> None:
+    still, at = Standstill(), (0, 0, 0)
+    assert not still.moves(0.0, at)
+    creep = [still.moves(0.01 * k, (k // 2, 0, 0)) for k in range(1, 100)]
+    assert creep[20:] == [True] * 79, "50 um/s, read each 10 ms: no two readings differ by more than 1 um"
+    assert still.moves(1.1, (49, 0, 0))
+    assert not still.moves(1.3, (49, 0, 0))
 
 
 # the link
