@@ -15,7 +15,7 @@ from polishd.model.surface import FloatArray, Grid
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.certificate import certify_dwell
 from polishd.process.dwell.problem import DwellProblem
-from polishd.process.dwell.quadratic import quadratic
+from polishd.process.dwell.quadratic import projected_gradient, quadratic
 from polishd.process.removal.effect import SparseEffect
 from tests.unit.process.gaussian import dwell_problem
 
@@ -180,6 +180,30 @@ def test_the_objective_never_rises() -> None:
     newton_cg.minimise(f, (problem.lower_s, problem.upper_s), problem.upper_s, stop)
     assert (np.diff(seen) <= 1e-12 * seen[0]).all()
     assert seen[-1] < 1e-2 * seen[0]
+
+
+@pytest.mark.parametrize(("share", "price", "most"), [(0.01, 0.0, 4500), (1.0, 0.5, 1100)])
+def test_points_that_meet_their_bounds_cost_few_products(share: float, price: float, most: int) -> None:
+    problem = dwell_problem(radius_mm=20)
+    problem = replace(problem, regularisation=share * problem.regularisation, price_nm2_per_s=price)
+    f, bounds = quadratic(problem), (problem.lower_s, problem.upper_s)
+    enough = 1e-5 * np.abs(f.gradient(problem.lower_s)).max()
+    products = 0
+
+    def forward(time_s: FloatArray) -> FloatArray:
+        nonlocal products
+        products += 1
+        return f.forward(time_s)
+
+    def stop(t: FloatArray, gradient: FloatArray) -> str | None:
+        left = projected_gradient(gradient, t, *bounds, f.safe_step)
+        return "converged" if np.abs(left).max() <= enough else None
+
+    counted = replace(f, forward=forward, gram=None)
+    t, _, stopped = newton_cg.minimise(counted, bounds, problem.lower_s, stop)
+    assert stopped == "converged"
+    assert np.count_nonzero(t == problem.lower_s) > 10
+    assert products < most  # with each round's conjugate gradients taken to their tolerance 19,270 and 1,571
 
 
 def test_a_warm_start_needs_fewer_rounds() -> None:
