@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.process.dwell.splitting_iteration import RELAXATION, Array, SplitProblem, firmness, misfit_share
+from polishd.process.dwell.splitting_iteration import Array, SplitProblem, firmness, misfit_share, relaxation
 from polishd.process.fft.simd import COUNT, least, load, most, splat, store
 from polishd.process.fft.transforms import (
     FftFields,
@@ -102,7 +102,7 @@ class CompiledIteration:
             share=misfit_share(work).astype(np.float32),
             target=work.target,
         )
-        numbers = (RELAXATION, work.mu, work.price, work.rho / work.mu, 1 / (2 * ny * nx))
+        numbers = (relaxation((ny, nx)), work.mu, work.price, work.rho / work.mu, 1 / (2 * ny * nx))
         kernel(_begin)(ready, self.plane.order)
         self.go = partial(kernel(_advance), ready, DouglasRachfordScalars(*map(np.float32, numbers)), self.plane.order)
 

@@ -9,7 +9,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-RELAXATION = 1.9
+LARGE_NODES = 20_000
+"""Nodes of a domain from which on relaxation is stronger: it saves 5 % of the iterations on parts of 300 and 450 mm,
+and takes up to 60 % more on those of 50 to 80 mm."""
 
 Array = NDArray[Any]
 
@@ -85,16 +87,17 @@ class NumpyIteration:
     def begin(self, work: SplitProblem) -> None:
         """See Iteration."""
         real = work.y.dtype.type
-        kept, firm = misfit_share(work), firmness(work)
+        kept, firm, relaxed = misfit_share(work), firmness(work), relaxation(self._size)
         strength = (np.abs(work.spectra.astype(np.complex128)) ** 2).sum(axis=0)
         self._fixed = {
             "gain": (1 / (1 + strength * (work.rho / work.mu))).astype(real),
             "back": (work.spectra.conj() * (work.rho / work.mu)).astype(work.spectra.dtype),
-            "y_keep": (1 - RELAXATION * kept).astype(real),
-            "y_change": (RELAXATION * (2 * kept - 1)).astype(real),
-            "y_add": (RELAXATION * kept * work.target).astype(real),
+            "y_keep": (1 - relaxed * kept).astype(real),
+            "y_change": (relaxed * (2 * kept - 1)).astype(real),
+            "y_add": (relaxed * kept * work.target).astype(real),
             "t_gain": (work.mu * firm * work.coefficient).astype(real),
             "t_price": (work.price * firm).astype(real),
+            "relaxed": real(relaxed),
             "scratch": np.empty_like(work.dwell),
             "all": np.concatenate([work.y[None], work.w]),
             "met": np.empty_like(work.w),
@@ -118,7 +121,7 @@ class NumpyIteration:
         self._dwell_nearest_to(moved, work)
         np.multiply(work.dwell, work.coefficient, out=moved)
         moved -= met
-        moved *= RELAXATION
+        moved *= fixed["relaxed"]
         work.w += moved
         change *= fixed["y_change"]
         work.y *= fixed["y_keep"]
@@ -135,6 +138,11 @@ class NumpyIteration:
         if work.price:
             work.dwell -= self._fixed["t_price"]
         np.clip(work.dwell, *work.bounds, out=work.dwell)
+
+
+def relaxation(size: tuple[int, int]) -> float:
+    """Relaxation of the iteration on a domain of (ny, nx) nodes, above 1 and below 2."""
+    return 1.9 if size[0] * size[1] >= LARGE_NODES else 1.8
 
 
 def misfit_share(work: SplitProblem) -> Array:
