@@ -9,7 +9,7 @@ line into others, so that the points lie on no lattice, and the inverse has to b
 has in the Hessian (1e-4). From the lower bound on the final free points, plain conjugate gradients need 275 products,
 with the convolution's inverse they do not get there in 600, and with ten times the regularisation in it and a multiple
 of the identity 219, while its two transforms take 0.4 of a product's time. The exact inverse of the whole Hessian,
-restricted to the free points, still needs 78. Float32 saves 5 to 10 % of a sparse product.
+restricted to the free points, still needs 78. Float32 saves 3 to 13 % of a sparse product.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ MAX_INNER = 1000
 ASK_EVERY = 12
 """Conjugate gradients between two looks at the bounds and at the clock of the system."""
 MOST_OUTSIDE = 0.003
-"""Share of the points that conjugate gradients may lead out of their bounds before the round ends. With 0 rounds are
-short where each holds only a few points more."""
+"""Share of the points that conjugate gradients may lead out of their bounds before the round ends. With 0 there are many
+short rounds, each of which holds a few points more."""
 RELEASE = 0.05
 """Points leave their bounds once the gradient there is above this share of the free points' gradient; flat from 0.05 to
 0.1, slower at 0.02 and 0.3."""
