@@ -31,8 +31,8 @@ MAX_INNER = 1000
 ASK_EVERY = 12
 """Conjugate gradients between two looks at the bounds and at the clock of the system."""
 MOST_OUTSIDE = 0.003
-"""Share of the points that conjugate gradients may lead out of their bounds before the round ends. With 0 there are many
-short rounds, each of which holds a few points more."""
+"""Share of the points that conjugate gradients may lead out of their bounds before the round ends. With 0 there are
+many short rounds, each of which holds a few points more."""
 RELEASE = 0.05
 """Points leave their bounds once the gradient there is above this share of the free points' gradient; flat from 0.05 to
 0.1, slower at 0.02 and 0.3."""
