@@ -13,6 +13,7 @@ import shlex
 import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from io import BufferedReader
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, BinaryIO
@@ -26,7 +27,7 @@ MOST_TOML_BYTES = 1 << 24
 _PIECE = 1 << 20
 
 
-def open_input(path: Path) -> BinaryIO:
+def open_input(path: Path) -> BufferedReader:
     """Open a file that a user names, to be read. OSError; for a device, too: it may have no end (``/dev/zero``).
 
     A pipe is opened as a file is: ``polishd check <(...)``, ``/dev/stdin``.

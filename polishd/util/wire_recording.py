@@ -186,10 +186,9 @@ def _line(fields: Mapping[str, Any]) -> bytes:
 
 def _rows(path: Path, notes: list[str]) -> Iterator[tuple[int, dict[str, Any]]]:
     """Number and content of each line; unpacked by hand or not."""
-    with open_input(path) as raw:
-        packed = raw.read(2) == b"\x1f\x8b"
     at = 0
-    with gzip.open(path) if packed else path.open("rb") as file:
+    with open_input(path) as raw:
+        file = gzip.open(raw) if raw.peek(2)[:2] == b"\x1f\x8b" else raw  # noqa: SIM115 - ends with the file in it
         while True:
             try:
                 text = file.readline()

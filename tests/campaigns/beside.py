@@ -45,6 +45,11 @@ def sources(scope: Iterable[str], root: Path = ROOT) -> str:
     return content.hexdigest()[:8]
 
 
+def first_line(error: Exception) -> str:
+    """Return the first line of an error, its class where it has no text."""
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
 def when(row: Row) -> str:
     """For the page: the day, and the hash of the sources."""
     return f"{row['date']}, {row['of'] or 'sources not noted'}"

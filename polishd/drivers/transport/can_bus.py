@@ -116,6 +116,8 @@ class TidySocketcand(SocketCanDaemonBus):
     def _expect_msg(self, msg: str) -> None:
         if (connected := self._own_socket()) is not None:
             connected.settimeout(SEND_S)  # permanent: sending on the event loop would wait without end, too
+            # Else a request that follows a heartbeat waits 40 ms for the server's delayed acknowledgement of that.
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         super()._expect_msg(msg)  # type: ignore[no-untyped-call]
 
     def _own_socket(self) -> socket.socket | None:

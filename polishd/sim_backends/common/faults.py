@@ -158,6 +158,7 @@ PROTOCOLS: Mapping[str, Protocol] = {
     "dashboard": Protocol(_ended(b"\n")),
     "primary": Protocol(),
     "http": Protocol(),
+    "hses": Protocol(),
 }
 """By name, as in errors and in the log."""
 

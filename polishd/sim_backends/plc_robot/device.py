@@ -466,8 +466,7 @@ SIM_DEVICES = [
         name="plc_robot",
         device="robot",
         section=SimRobotSection,
-        # of "primary", too, each message is a frame: a datagram here
-        links={"opcua": {"": "opcua"}, "ads": {"": "ads"}, "modbus": {"": "modbus_tcp"}, "hses": {"": "primary"}},
+        links={"opcua": {"": "opcua"}, "ads": {"": "ads"}, "modbus": {"": "modbus_tcp"}, "hses": {"": "hses"}},
         main=main,
         faults=(*MOTION, "estop", "manual"),
     )

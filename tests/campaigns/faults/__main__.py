@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from polishd.model.errors import PolishdError
-from tests.campaigns.beside import side_by_side
+from tests.campaigns.beside import first_line, side_by_side
 from tests.campaigns.faults.judge import Finding, measure
 from tests.campaigns.faults.kept import LOSES, Kept
 from tests.campaigns.faults.links import LINKS
@@ -47,7 +47,7 @@ def tried(kept: Kept, link: str, fault: str) -> int:
     try:
         finding = measure(link, fault, folder / "cell")
     except (AssertionError, PolishdError) as error:
-        wrong = [str(error).splitlines()[0]]
+        wrong = [first_line(error)]
         finding = Finding(link, fault, "", None, LINKS[link].silence_s, None, NOT_MEASURED, wrong)
     else:
         kept.add(finding)
@@ -69,7 +69,7 @@ def lost(kept: Kept, link: str, first: int, most: int, until_s: float) -> int:
                 times = f"{one.detection_s} s, force off {one.force_off_s} s"
                 say(f"{link}: {first + done}: {one.how}: {times}{_wrong(one)}")
     except (AssertionError, PolishdError) as error:
-        say(f"{link}: {str(error).splitlines()[0]}")
+        say(f"{link}: {first_line(error)}")
         wrong += 1
     _clear(folder, wrong)
     return wrong

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 
 from polishd.model.errors import PolishdError
-from tests.campaigns.beside import side_by_side
+from tests.campaigns.beside import first_line, side_by_side
 from tests.campaigns.pits.cases import LINKS
 from tests.campaigns.pits.judge import Finding, measure
 from tests.campaigns.pits.kept import Kept, write
@@ -41,7 +41,7 @@ def tried(kept: Kept, case: tuple[str, str], *, as_json: bool) -> int:
     try:
         finding = measure(*case, folder / "cell")
     except (AssertionError, PolishdError) as error:
-        say(f"{case[0]}: {case[1]}: not measured: {str(error).splitlines()[0]}; see {folder}", to_stderr=as_json)
+        say(f"{case[0]}: {case[1]}: not measured: {first_line(error)}; see {folder}", to_stderr=as_json)
         return 1
     kept.add(finding)
     say(json.dumps(asdict(finding)) if as_json else sentence(finding))

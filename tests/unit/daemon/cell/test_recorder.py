@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import logging
+import os
 import random
 import resource
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -32,6 +35,21 @@ def tapped(link: str) -> LinkTap:
     found = tap(link)
     assert found is not None
     return found
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_a_recording_is_read_from_a_pipe_too(tmp_path: Path, packed: bool) -> None:
+    with recording_to(tmp_path / "a.jsonl.gz", CELL):
+        pass
+    content = (tmp_path / "a.jsonl.gz").read_bytes()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_bytes, args=(content if packed else gzip.decompress(content),))
+    writer.start()
+    found = read_recording(pipe)
+    writer.join()
+    assert found.header["cell"] == "left"
+    assert not found.notes
 
 
 def test_nobody_records() -> None:

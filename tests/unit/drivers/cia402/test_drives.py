@@ -6,6 +6,8 @@ Contact detection by position.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterable
 from pathlib import Path
@@ -267,6 +269,20 @@ async def test_bus_off_is_a_lost_link_and_the_drive_stops_by_itself(spin: Spin) 
     assert (await device.status()).ready
 
 
+def nodelay_of_connections_to(port: int) -> list[int]:
+    """TCP_NODELAY of each connection of this process to that port on loopback."""
+    found = []
+    for name in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):  # no socket, or not connected
+            one = socket.socket(fileno=int(name.name))
+            try:
+                if one.getpeername()[1:2] == (port,):
+                    found.append(int(one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0))
+            finally:
+                one.detach()
+    return found
+
+
 async def test_an_adapter_that_is_off_the_bus_says_so_and_that_is_a_lost_link() -> None:
     drive, _ = sim_motor()
     wire = await TcpWire(SocketcandPeer(drive)).start()
@@ -274,6 +290,7 @@ async def test_an_adapter_that_is_off_the_bus_says_so_and_that_is_a_lost_link() 
     await device.open()
     wire.write(b"< error 004 1.0 >")  # error passive: it goes on
     assert (await device.status()).ready
+    assert nodelay_of_connections_to(wire.port) == [1], "a request waits for no acknowledgement of a heartbeat"
     wire.write(b"< error 040 1.0 >")
     with pytest.raises(LinkError, match="the adapter is off the bus"):
         await watch(device)
