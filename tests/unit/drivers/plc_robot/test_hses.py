@@ -89,6 +89,7 @@ def test_values_of_a_status(one: int, two: int, line: int, state: str, why: str)
     found = status_values(struct.pack("<II", one, two), job, alarm if two & 0x30 else b"")
     assert (found["status.state"], found["alarm.text"], found["job.name"]) == (state, why, "POLISH.JBI")
     assert (found["job.line"], found["job.override"]) == (line, 7500)
+    assert status_values(struct.pack("<II", one, two), bytes(44))["job.name"] == "", "no job is selected"
 
 
 def variable(address: str, kind: str) -> Variable:
@@ -239,6 +240,20 @@ async def test_a_start_is_sent_once_even_if_its_answer_is_lost(tmp_path: Path) -
             await found.link.write({"hold": False, "start": True})
         assert found.sent(0x86) == 1
         assert found.fake.plc.motion.state in {"running", "done"}, "it did run"
+        with pytest.raises(LinkError, match="is not open"):
+            await found.link.read()
+
+
+async def test_a_refused_datagram_ends_the_link_and_leaves_an_order_unknown(tmp_path: Path) -> None:
+    async with ready(tmp_path) as found:
+
+        def refuse(_request: bytes) -> list[bytes]:
+            found.link.failed(ConnectionRefusedError("nothing listens"))
+            return []
+
+        found.served.into = refuse
+        with pytest.raises(LinkError, match="nothing listens; whether command 0x83 was executed is unknown"):
+            await found.link.write({"hold": False, "start": True})
         with pytest.raises(LinkError, match="is not open"):
             await found.link.read()
 
