@@ -147,7 +147,8 @@ def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Pat
         require_off_the_part(files)
         require_nothing_twice(files)
         landed, off = events(files, "tool_landed")[-1], events(files, "force_zero")[-1]
-        assert off["mono_s"] - landed["mono_s"] - 1.5 > 0.2, "stuck for the grace time, and then acted upon"
+        # stuck for the grace time, and then acted upon
+        assert 0.2 < off["mono_s"] - landed["mono_s"] - 1.5 < 2.0
         assert summary(files)["outcome"] != "in_tolerance"
         told = json.loads(polishd("status", files.cell, "--json").stdout)
         assert (told["state"], told["exit_code"], told["tool_off"]) == ("failed", SAFETY, "yes")

@@ -217,8 +217,10 @@ async def test_a_fault_without_its_text_is_reported_all_the_same(fake: FakeFanuc
     await executed(robot, 5)
     fake.filter = lambda data: [] if b"FRC_ReadError" in data else [data]
     fake.controller.press("emergency stop", time.monotonic())
+    began_s = time.monotonic()
     with pytest.raises(DeviceFault, match=r"the controller reports a fault|servos are not ready"):
         await executed(robot)
+    assert time.monotonic() - began_s < TIMES.silence_s
 
 
 async def test_a_refused_instruction_is_named_by_its_block_and_reset_by_the_next_program(
