@@ -1,4 +1,4 @@
-"""The links of a cell in contact: how a cell with each is written, how long it may be silent, what it can suffer."""
+"""Links of a cell in contact: how a cell with each is written, how long each may be silent, and its faults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LOST: Mapping[str, Fault] = {
     "unplugged": {"what": "unplug", "duration_s": 60.0},
     "reboots": {"what": "reboot"},
 }
-"""Nothing comes any more: contact must end."""
+"""The link carries nothing any more: contact must end."""
 TIMES: Mapping[str, Fault] = {
     "late by 0.1 s": {"what": "delay", "by_s": 0.1},
     "late by 3 limits": {"what": "late_reply", "by_s": 3 * SILENCE_S},
@@ -44,11 +44,11 @@ FRAMES: Mapping[str, Fault] = {
 }
 UNIT: Mapping[str, Fault] = {"another unit answers": {"what": "wrong_unit"}}
 REFUSES: Mapping[str, Fault] = {"exception": {"what": "exception"}}
-"""Where something is asked in contact: the robot link tells by itself."""
+"""Of links that answer requests in contact; the robot link reports without a request."""
 PANEL: Mapping[str, Fault] = {"emergency stop": {"what": "estop"}, "switched to manual": {"what": "manual"}}
 """The operator stops a robot at its panel."""
 KILL = "kill"
-"""No fault of SIM.toml: the campaign kills the daemon."""
+"""Not a fault of SIM.toml: the campaign kills the daemon."""
 KILLED: Mapping[str, Fault] = {"daemon killed": {"what": KILL}}
 ALL = {**LOST, **TIMES, **FRAMES}
 ROBOT = {**ALL, **PANEL, **KILLED}
@@ -58,7 +58,7 @@ MUST_END = {*LOST, "all garbled", "sticks", "halts", "freezes", "drifts", "satur
 
 
 QUICK: Sections = {"actuator": {"land_s": 0.5}, "spindle": {"spin_s": 0.5}, "interferometer": {"write_s": 0.02}}
-"""Before contact nothing is lost yet. How long the tool takes to lift is part of what is asked."""
+"""Short times before contact, where no fault acts yet. The time to lift the tool stays: it is measured."""
 COMMON = (
     "polishd/daemon",
     "polishd/model",
@@ -66,39 +66,39 @@ COMMON = (
     "polishd/sim_backends/common",
     "tests/campaigns/faults",
 )
-"""What each case depends on."""
+"""Sources that each case depends on."""
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One of them."""
+    """A cell whose link has the faults."""
 
     device: str
     write: Callable[[Path], DemoFiles]
     faults: Mapping[str, Fault]
     silence_s: float = SILENCE_S
     link: str = ""
-    """Of the robot's, where it has several."""
+    """Name of the link, where the robot has several."""
     needed: bool = True
-    """In contact; else its loss costs nothing until it is used."""
+    """Whether contact needs it; else its loss has no effect until it is used."""
     driver: str = "profile_device"
-    """Its folder in polishd/drivers."""
+    """Folder in polishd/drivers."""
     simulator: str = ""
-    """Its folder in polishd/sim_backends, where that is not called as the device."""
+    """Folder in polishd/sim_backends, where its name is not that of the device."""
 
     def files(self, folder: Path, **sim: Mapping[str, Any]) -> DemoFiles:
-        """A cell with it, quick where nobody looks; ``sim`` for SIM.toml."""
+        """Return the files of the cell, quick where nothing is measured; ``sim``: keys of SIM.toml."""
         files = self.write(folder)
         files.cell.write_text(with_keys(files.cell.read_text(), {"metrology": {"stable_s": 0.1}}))
         files.sim.write_text(with_keys(with_keys(files.sim.read_text(), QUICK), sim))
         return files
 
     def loses(self) -> bool:
-        """Its loss in contact can be counted."""
+        """Whether its losses in contact can be counted."""
         return self.needed and {"hangs", "unplugged"} <= self.faults.keys()
 
     def parts(self) -> tuple[str, ...]:
-        """Files and folders that what comes of its faults depends on."""
+        """Return files and folders that its results depend on."""
         return (
             *COMMON,
             f"polishd/drivers/{self.driver}",
@@ -106,11 +106,11 @@ class Link:
         )
 
     def must_end(self, fault: str) -> bool:
-        """Contact has to be left over it."""
+        """Whether contact must end because of that fault."""
         return self.needed and fault in MUST_END
 
     def fault(self, name: str) -> dict[str, Any]:
-        """For SIM.toml, without its time."""
+        """Return the fault for SIM.toml, without its time."""
         fault = self.faults[name]
         of_device = {"reboot", *simulator_faults.PANEL}
         whole = not self.link or fault["what"] in of_device
@@ -126,7 +126,7 @@ SILENT = {
 
 
 def _small(folder: Path, cell: Sections | None = None, sim: Sections | None = None) -> DemoFiles:
-    """The demo's small cell with other keys."""
+    """Return the demo's small cell with other keys."""
     files = write_small(folder, patient=False, **ONE_PASS)
     files.cell.write_text(with_keys(with_keys(files.cell.read_text(), SILENT), cell or {}))
     files.sim.write_text(with_keys(files.sim.read_text(), sim or {}))
@@ -151,7 +151,7 @@ def _spindle(folder: Path) -> DemoFiles:
 
 
 def _cia402(folder: Path) -> DemoFiles:
-    """Both drives off the shelf."""
+    """With CiA 402 drives as actuator and spindle."""
     files = _small(folder)
     text = files.cell.read_text().replace('"spindle"', '"cia402"', 1).replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):
@@ -162,7 +162,7 @@ def _cia402(folder: Path) -> DemoFiles:
 
 
 def _watched(folder: Path, text: str, sim: str, silent: Sections | None = None) -> DemoFiles:
-    """``silent`` is only for a device that ``sim`` brings: a cell has no other that nothing answers for."""
+    """``silent``: keys of the device that ``sim`` adds."""
     files = _small(folder)
     cell = files.cell.read_text() + text
     files.cell.write_text(with_keys(with_values(cell, {"limits": {"force_alarm_delay_s": 1.3}}), silent or {}))
@@ -181,6 +181,13 @@ def _monitored(folder: Path) -> DemoFiles:
 
 def _plc(folder: Path, kind: str) -> DemoFiles:
     files = plc_robot_rig.write_files(folder, kind, 30.0, **ONE_PASS)
+    profile = files.out / "controller.toml"
+    profile.write_text(profile.read_text().replace("silence_s = 6.0", f"silence_s = {PLC_SILENCE_S}"))
+    return files
+
+
+def _hses(folder: Path) -> DemoFiles:
+    files = plc_robot_rig.write_language_cell(folder, "inform over hses", "dwell", **ONE_PASS)
     profile = files.out / "controller.toml"
     profile.write_text(profile.read_text().replace("silence_s = 6.0", f"silence_s = {PLC_SILENCE_S}"))
     return files
@@ -219,6 +226,7 @@ LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
     "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
     "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
+    "Yaskawa HSES": PLC(write=_hses, faults=ROBOT),
     "Robot Web Services": Link("robot", _abb, ROBOT, driver="abb_rws", simulator="abb_rws"),
     "FANUC RMI": Link("robot", _fanuc, ROBOT, silence_s=FANUC_SILENCE_S, driver="fanuc_rmi", simulator="fanuc_rmi"),
     "RTDE": UR(ALL, link="rtde"),

@@ -98,6 +98,13 @@ def _plc(kind: plc_robot_rig.Kind, folder: Path) -> DemoFiles:
     return files
 
 
+def _hses(folder: Path) -> DemoFiles:
+    """Without the time that a block costs beyond its plan, as ``_plc``."""
+    files = plc_robot_rig.write_language_cell(folder, "inform over hses", "dwell", **JOB)
+    files.sim.write_text(_without(files.sim.read_text(), *plc_robot_rig.TRUTH))
+    return files
+
+
 def _without(text: str, *keys: str) -> str:
     """The TOML text less those keys."""
     return "".join(f"{line}\n" for line in text.splitlines() if line.partition("=")[0].strip() not in keys)
@@ -149,6 +156,7 @@ LINKS: Mapping[str, Link] = {
     "PLC robot, OPC UA": _robot(partial(_plc, "opcua"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, ADS": _robot(partial(_plc, "ads"), ALL, "plc_robot", "plc_robot"),
     "PLC robot, Modbus": _robot(partial(_plc, "modbus"), ALL, "plc_robot", "plc_robot"),
+    "Yaskawa HSES": _robot(_hses, ROBOT, "plc_robot", "plc_robot"),
     "LinuxCNC": Link(
         "robot", _linuxcnc, MOTION, ("polishd/drivers/linuxcnc", "polishd/sim_backends/linuxcnc"), linuxcnc=True
     ),
