@@ -1,7 +1,6 @@
-"""One fault in contact: a cell and its daemon as processes, what came of it, and what is wrong with that.
+"""One fault in contact: run a cell and its daemon as processes, and judge how contact ended or went on.
 
-When the fault acted, when the cell first reacted and when the force was off is the simulators' own account; what it was
-noticed as is the daemon's.
+The times of the fault, of the first reaction and of force off are from the simulators' logs; the reason is the daemon's.
 """
 
 from __future__ import annotations
@@ -24,37 +23,36 @@ from tests.system.agreement import disagreements
 from tests.system.cell_rig import Daemon, events, summary, whole_account, with_faults
 from tests.system.sim_rig import wait_for
 
-SPEED = 2.0
 CONTACT_S = 0.8
 """In contact before the fault, wall time."""
 GOES_ON = 2.5
-"""So many times the link's limit after a fault that nobody had to mind, it counts as gone on from."""
+"""Multiple of the link's limit: a pass that executes blocks so long after a fault counts as continued."""
 END_S = 60.0
 FORCE_OFF_S = 0.2
-"""The most from noticing to force off."""
+"""Longest permitted time from the first reaction to force off."""
 LATE_S = 0.5
-"""By how much a machine that is busy with other things may notice late."""
+"""Permitted delay of the reaction on a busy machine."""
 STOPPED_S = 1.0
-"""The most until the daemon notices that the operator has stopped the robot at its panel."""
+"""Longest permitted time until the daemon notices a stop at the robot's panel."""
 NO_POWER = "actuator_lost"
-"""This one's spring lifts the tool."""
+"""Without power the actuator's spring lifts the tool."""
 REACTIONS = {"retract", "force_off", "force_zero", "contact_lost", "watchdog", "spindle_ramping", "motion_stopped"}
 OFF = {"force_off", "force_zero", "contact_lost", NO_POWER}
 UP = {"tool_lifted", "retracted", "contact_lost", NO_POWER}
 PRESSES = {"tool_landed", "force_on", "engage"}
 STANDS = {"motion_stopped", "robot_lost"}
 STOPS_FIRST = "guard_closed"
-"""The signal of these cells that leads to an emergency stop: motion stops at once, whatever the part costs."""
+"""Signal of these cells that leads to an emergency stop: motion stops at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a case came to. Times in s."""
+    """Result of a case. Times in s."""
 
     link: str
     fault: str
     noticed: str
-    """The daemon's reason; empty where it went on."""
+    """Reason that the daemon gave; empty where the pass continued."""
     detection_s: float | None
     """From the fault to the cell's first reaction."""
     limit_s: float
@@ -67,13 +65,13 @@ class Finding:
 
 
 def measure(link: str, fault: str, folder: Path) -> Finding:
-    """Bring a cell into contact, and let it happen."""
+    """Bring a cell into contact, and inject the fault."""
     chosen = LINKS[link]
     files = chosen.files(folder)
     kills = chosen.faults[fault]["what"] == KILL
     scripted = [] if kills else [{**chosen.fault(fault), "contact_s": CONTACT_S}]
     files.sim.write_text(with_faults(files.sim.read_text(), *scripted))
-    options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", f"{SPEED:g}"]
+    options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", f"{chosen.speed:g}"]
     with simulated_cell(files.sim, options, folder / "sim.stderr"):
         with Daemon(files, "--no-hold") as daemon:
             if kills:
@@ -86,7 +84,7 @@ def measure(link: str, fault: str, folder: Path) -> Finding:
             went_on = daemon.process.poll() is None
             code = daemon.end() if went_on else daemon.wait()
         wait_for(lambda: _rests(files), "the cell to rest", END_S)
-        if kills:  # it can journal nothing: the next start does
+        if kills:  # a killed daemon journals nothing: the next start does
             with Daemon(files) as daemon:
                 daemon.wait_for_state("held")
         return _finding(link, fault, files, went_on=went_on, code=code)
@@ -106,31 +104,31 @@ def kill(daemon: Daemon, contact_s: float) -> None:
 
 
 def _acted(files: DemoFiles) -> dict[str, Any] | None:
-    """The first that the simulator tells of the fault."""
+    """Return the simulators' first event of the fault."""
     return next(iter(events(files, "fault_begins", "fault_acts", "pit_marked")), None)
 
 
 def _polished_on(files: DemoFiles, after_s: float) -> bool:
-    """Blocks were executed long after the fault."""
+    """Whether blocks were executed long after the fault."""
     acted = _acted(files)
     runs = [event["mono_s"] for event in events(files, "blocks")]
     return acted is not None and bool(runs) and runs[-1] - acted["mono_s"] > after_s
 
 
 def _rests(files: DemoFiles) -> bool:
-    """The tool is up, and nothing moves."""
-    place = _last_place(_told(files))
+    """Whether the tool is up and the robot at rest."""
+    place = _last_place(_log(files))
     return place(UP) > place({"tool_landed"}) and place(STANDS) > place({"motion_started"})
 
 
-def _told(files: DemoFiles) -> list[dict[str, Any]]:
-    """The simulators' log, in which a loss of power names its device."""
+def _log(files: DemoFiles) -> list[dict[str, Any]]:
+    """Return the simulators' log, in which a loss of power names its device."""
     log = events(files)
     return [e | {"event": f"{e['device']}_lost"} if e["event"] == "lost" else e for e in log]
 
 
 def _finding(link: str, fault: str, files: DemoFiles, *, went_on: bool, code: int) -> Finding:
-    log, acted = _told(files), _acted(files)
+    log, acted = _log(files), _acted(files)
     since_s = acted["mono_s"] if acted else 0.0
     after = [event for event in log if event["mono_s"] >= since_s]
     what = LINKS[link].faults[fault]["what"]
@@ -164,12 +162,12 @@ def watchdog_s(files: DemoFiles) -> float:
 
 
 def _without_folder(text: str, files: DemoFiles) -> str:
-    """That of a case says nothing to a reader."""
+    """Return the text without the temporary folders of the case."""
     return text.replace(f"{files.sim_dir}/", "...").replace(f"{files.out}", "...")
 
 
 def load() -> float:
-    """Processes that want a core, for each there is."""
+    """Return the processes that wait for a core, per core."""
     return round(os.getloadavg()[0] / (os.cpu_count() or 1), 1)
 
 
@@ -178,7 +176,7 @@ def _is_loss(fault: str) -> bool:
 
 
 def first(log: Sequence[Mapping[str, Any]], names: set[str]) -> float | None:
-    """When the first of them was, of the simulators' clock."""
+    """Return the time of the first of these events, by the simulators' clock."""
     return next((float(event["mono_s"]) for event in log if event["event"] in names), None)
 
 
@@ -192,12 +190,12 @@ def _wrong(
     noticed: str,
     went_on: bool,
 ) -> Iterator[str]:
-    """What must hold whatever the fault was."""
+    """Yield what must hold after any fault and does not."""
     if not acted:
         yield "contact ended before the fault acted"
         return
     if went_on and LINKS[link].must_end(fault):
-        yield "nobody noticed"
+        yield "not noticed"
     if "Traceback" in files.daemon_log.read_text():
         yield "the daemon raised"
     place = _last_place(after)
@@ -222,7 +220,7 @@ def _last_place(log: Sequence[Mapping[str, Any]]) -> Callable[[set[str]], int]:
 
 
 def disagreeing(files: DemoFiles, link: str) -> Iterator[str]:
-    """What was polished twice, and where journal and plant contradict each other."""
+    """Yield what was polished twice, and where journal and plant differ."""
     books = whole_account(files)["programs"]
     for book in books:
         if book["loads"] != 1:

@@ -83,6 +83,8 @@ class Link:
     """Whether contact needs it; else its loss has no effect until it is used."""
     driver: str = "profile_device"
     """Folder in polishd/drivers."""
+    speed: float = 2.0
+    """Of the simulation; 1 where the controller has no clock of its own, so that the driver's times are wall times."""
     simulator: str = ""
     """Folder in polishd/sim_backends, where its name is not that of the device."""
 
@@ -226,7 +228,7 @@ LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
     "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
     "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
-    "Yaskawa HSES": PLC(write=_hses, faults=ROBOT),
+    "Yaskawa HSES": PLC(write=_hses, faults=ROBOT, speed=1.0),
     "Robot Web Services": Link("robot", _abb, ROBOT, driver="abb_rws", simulator="abb_rws"),
     "FANUC RMI": Link("robot", _fanuc, ROBOT, silence_s=FANUC_SILENCE_S, driver="fanuc_rmi", simulator="fanuc_rmi"),
     "RTDE": UR(ALL, link="rtde"),

@@ -21,7 +21,7 @@ from typing import Any
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, last_words, simulated_cell
 from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
-from tests.campaigns.faults.judge import FORCE_OFF_S, LATE_S, OFF, PRESSES, REACTIONS, SPEED, UP, disagreeing, first
+from tests.campaigns.faults.judge import FORCE_OFF_S, LATE_S, OFF, PRESSES, REACTIONS, UP, disagreeing, first
 from tests.campaigns.faults.links import LINKS
 from tests.campaigns.site import MOVING, Log
 from tests.system.cell_rig import Daemon, with_faults, with_keys
@@ -70,7 +70,7 @@ def lose(name: str, first: int, most: int, folder: Path, until_s: float = math.i
     files.cell.write_text(with_keys(files.cell.read_text(), ENDLESS))
     template = files.sim.read_text()
     _script(files, template, name, number)
-    options = ["--state", str(files.sim_dir), "--seed", str(1 + first), "--speed", f"{SPEED:g}"]
+    options = ["--state", str(files.sim_dir), "--seed", str(1 + first), "--speed", f"{link.speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         log = Log(files.sim_dir / "sim.log")
         while True:
