@@ -63,11 +63,15 @@ def passes(journal: Path) -> list[Told]:
     return told
 
 
-def disagreements(journal: Path, books: list[dict[str, Any]], *, by_model: bool = False) -> list[str]:
+def disagreements(
+    journal: Path, books: list[dict[str, Any]], *, by_model: bool = False, least_s: float = LEAST_S
+) -> list[str]:
     """Where they contradict each other: by pass and block, what the journal says, and what the plant saw.
 
     ``by_model``: the controller shows the line that it executes. Where several ended between two reports, the motion
     model has shared out the time between these.
+    ``least_s``: permitted difference of a time; larger where the controller has no clock, so that times are those of
+    readings.
 
     A program that was no pass is a touch-off's: the robot stands while the tool touches, so that no block is touched.
     A controller that is sent scripts of our own making knows no program by its hash: those are the passes in turn.
@@ -85,15 +89,15 @@ def disagreements(journal: Path, books: list[dict[str, Any]], *, by_model: bool 
         contact_s, beyond_s = np.split(np.array(book["contact_s"]), [len(one.run_s)])
         if beyond_s.any():  # a script may have a line of its own behind the program's last block
             found.append(f"{one.sha256[:8]}: the plant saw {beyond_s.sum():.3f} s behind its last block")
-        slack_s = SHARE * one.run_s + LEAST_S
+        slack_s = SHARE * one.run_s + least_s
         if by_model:
             for run in _told_at_once(one):
                 slack_s[run] += SHARED * one.run_s[run]
-                if (one.touched[run] == 1).all() and not _sum_holds(one, contact_s, run):
+                if (one.touched[run] == 1).all() and not _sum_holds(one, contact_s, run, least_s):
                     found.append(_of_sum(one, contact_s, run))
         wrong = {
             "touched": (one.touched == 1) & (np.abs(contact_s - one.run_s) > slack_s),
-            "not touched": (one.touched == 0) & (contact_s > LEAST_S),
+            "not touched": (one.touched == 0) & (contact_s > least_s),
             "executed": np.isnan(one.touched) & (one.run_s > 0) & (contact_s > one.run_s + slack_s),
         }
         found += [
@@ -110,9 +114,9 @@ def _told_at_once(one: Told) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 1]
 
 
-def _sum_holds(one: Told, contact_s: np.ndarray[Any, Any], run: slice) -> bool:
+def _sum_holds(one: Told, contact_s: np.ndarray[Any, Any], run: slice, least_s: float) -> bool:
     ours_s = one.run_s[run].sum()
-    return bool(abs(contact_s[run].sum() - ours_s) <= TOTAL * ours_s + LEAST_S)
+    return bool(abs(contact_s[run].sum() - ours_s) <= TOTAL * ours_s + least_s)
 
 
 def _of_sum(one: Told, contact_s: np.ndarray[Any, Any], run: slice) -> str:

@@ -1,6 +1,6 @@
 """One fault in contact: run a cell and its daemon as processes, and judge how contact ended or went on.
 
-The times of the fault, of the first reaction and of force off are from the simulators' logs; the reason is the daemon's.
+Times of the fault, the first reaction and force off are from the simulators' logs; the reason is the daemon's.
 """
 
 from __future__ import annotations
@@ -226,4 +226,4 @@ def disagreeing(files: DemoFiles, link: str) -> Iterator[str]:
         if book["loads"] != 1:
             yield f"program {book['sha256'][:8]} was loaded {book['loads']} times"
     by_model = LINKS[link].driver == "plc_robot"
-    yield from disagreements(files.state_dir / "journal.sqlite", books, by_model=by_model)
+    yield from disagreements(files.state_dir / "journal.sqlite", books, by_model=by_model, least_s=LINKS[link].least_s)

@@ -12,6 +12,7 @@ from typing import Any
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
 from polishd.config import simulator_faults
 from tests.system import abb_rig, fanuc_rmi_rig, kuka_rig, plc_robot_rig, universal_robots_rig
+from tests.system.agreement import LEAST_S
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
 from tests.system.test_cia402 import ACTUATOR, SPINDLE
 from tests.system.test_force_and_signals import MONITOR, SENSOR
@@ -22,6 +23,8 @@ SILENCE_S = 1.0
 """Of each link here: long enough for a busy machine, short enough for a fault to cost seconds only."""
 PLC_SILENCE_S = 3.0
 FANUC_SILENCE_S = fanuc_rmi_rig.QUICK["robot"]["silence_s"]
+READING_S = 0.1
+"""Most between two readings on a busy machine: HSES is read each 20 ms."""
 QUIET = {"rate": 1.0, "duration_s": 60.0}
 LOST: Mapping[str, Fault] = {
     "hangs": {"what": "hang"},
@@ -83,8 +86,8 @@ class Link:
     """Whether contact needs it; else its loss has no effect until it is used."""
     driver: str = "profile_device"
     """Folder in polishd/drivers."""
-    speed: float = 2.0
-    """Of the simulation; 1 where the controller has no clock of its own, so that the driver's times are wall times."""
+    clock: bool = True
+    """Whether the controller reports the time of its state; without it block times are those of readings, wall time."""
     simulator: str = ""
     """Folder in polishd/sim_backends, where its name is not that of the device."""
 
@@ -106,6 +109,16 @@ class Link:
             f"polishd/drivers/{self.driver}",
             f"polishd/sim_backends/{self.simulator or self.device}",
         )
+
+    @property
+    def speed(self) -> float:
+        """Speed of the simulation."""
+        return 2.0 if self.clock else 1.0
+
+    @property
+    def least_s(self) -> float:
+        """Permitted difference between the times of a block in the journal and in the plant's account."""
+        return LEAST_S if self.clock else READING_S
 
     def must_end(self, fault: str) -> bool:
         """Whether contact must end because of that fault."""
@@ -228,7 +241,7 @@ LINKS: Mapping[str, Link] = {
     "robot link": Link("robot", _small, ALL, driver="robot_link"),
     "PLC robot over OPC UA": PLC(write=lambda f: _plc(f, "opcua"), faults=ALL),
     "PLC robot over ADS": PLC(write=lambda f: _plc(f, "ads"), faults={**ALL, **REFUSES}),
-    "Yaskawa HSES": PLC(write=_hses, faults=ROBOT, speed=1.0),
+    "Yaskawa HSES": PLC(write=_hses, faults=ROBOT, clock=False),
     "Robot Web Services": Link("robot", _abb, ROBOT, driver="abb_rws", simulator="abb_rws"),
     "FANUC RMI": Link("robot", _fanuc, ROBOT, silence_s=FANUC_SILENCE_S, driver="fanuc_rmi", simulator="fanuc_rmi"),
     "RTDE": UR(ALL, link="rtde"),
