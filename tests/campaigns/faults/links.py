@@ -23,8 +23,8 @@ SILENCE_S = 1.0
 """Of each link here: long enough for a busy machine, short enough for a fault to cost seconds only."""
 PLC_SILENCE_S = 3.0
 FANUC_SILENCE_S = fanuc_rmi_rig.QUICK["robot"]["silence_s"]
-READING_S = 0.1
-"""Most between two readings on a busy machine: HSES is read each 20 ms."""
+READING_S = 0.2
+"""Most between two good readings of HSES: each 20 ms; less often on a busy machine, and where datagrams are damaged."""
 QUIET = {"rate": 1.0, "duration_s": 60.0}
 LOST: Mapping[str, Fault] = {
     "hangs": {"what": "hang"},
