@@ -99,9 +99,12 @@ def _plc(kind: plc_robot_rig.Kind, folder: Path) -> DemoFiles:
 
 
 def _hses(folder: Path) -> DemoFiles:
-    """Without the time that a block costs beyond its plan, as ``_plc``."""
+    """Without the time that a block costs beyond its plan, as ``_plc``, and with the delays of the shipped profile."""
     files = plc_robot_rig.write_language_cell(folder, "inform over hses", "dwell", **JOB)
     files.sim.write_text(_without(files.sim.read_text(), *plc_robot_rig.TRUTH))
+    profile = files.out / "controller.toml"
+    profile.write_text(profile.read_text().replace(plc_robot_rig.HSES_TIMES, plc_robot_rig.TIMES))
+    files.cell.write_text(with_keys(files.cell.read_text(), {"limits": {"max_stall_removal_nm": 80.0}}))
     return files
 
 
