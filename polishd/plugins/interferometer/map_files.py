@@ -329,6 +329,8 @@ class DeliveredMap(BaseModel):
 class MapRequest(BaseModel):
     """The request for a map; it is kept until another map is taken, also across restarts."""
 
+    model_config = ConfigDict(defer_build=True)
+
     after: str | None
     token: str
     """A file with this token in its name answers the request, independent of the clocks."""
@@ -344,6 +346,8 @@ class MapRequest(BaseModel):
 
 class Record(BaseModel):
     """The content of the file."""
+
+    model_config = ConfigDict(defer_build=True)
 
     ask: MapRequest | None = None
     taken: list[str] = Field(default_factory=list)

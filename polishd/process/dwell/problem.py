@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import sparse
+import scipy
 
 from polishd.model.dwell import Start
 from polishd.model.errors import ComputeError
@@ -42,7 +42,7 @@ class DwellProblem:
     """(ny, nx) how much a sample counts, not negative; None: all alike."""
     price_nm2_per_s: float = 0.0
     """Price of a second of total time: the multiplier of a time budget and the parameter of a residual curve."""
-    feed_change: sparse.csr_array | None = field(default=None, repr=False)
+    feed_change: scipy.sparse.csr_array | None = field(default=None, repr=False)
     """(k, n) nm/s: the squares of its products with the dwell add to the objective (`feed_change_rows`); None: none."""
     band_period_mm: float | None = None
     """The certificate states the RMS of periods above it, too."""

@@ -166,5 +166,12 @@ def test_the_solvers_load_numba_only_when_a_problem_is_large() -> None:
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
 
 
+@pytest.mark.full
+def test_the_map_formats_load_no_sparse_matrices() -> None:
+    """``scipy.sparse`` loads numpy's test and Fortran tools: a fifth of the start of what only reads maps."""
+    code = "import sys, polishd.plugins.interferometer; sys.exit('scipy.sparse' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
 class Many:
     n = alternating_directions.MAX_STEPS * 1000

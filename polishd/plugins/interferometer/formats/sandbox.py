@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,7 +77,6 @@ class MapHead:
 
 
 USUAL = ResourceLimits()
-_HEAD = TypeAdapter(MapHead)
 _idle: list[WorkerProcess] = []
 """Workers that wait for a file. Each reads for one caller at a time, so that no cell waits for another cell's file."""
 
@@ -148,7 +148,7 @@ def _read(worker: WorkerProcess, module: str, path: Path, bounds: ResourceLimits
         reason, number = answer["reason"], answer["errno"]
         if not isinstance(reason, str) or not isinstance(number, int):
             raise TypeError(answer)
-        surface = None if reason else _map(_HEAD.validate_python(answer["map"]), arrays["height_nm"], whole)
+        surface = None if reason else _map(_head_type().validate_python(answer["map"]), arrays["height_nm"], whole)
     except WorkerError as error:
         raise MapError(f"{path}: {error}. The file is broken.") from error
     except ComputeError as error:
@@ -161,6 +161,12 @@ def _read(worker: WorkerProcess, module: str, path: Path, bounds: ResourceLimits
         cause = OSError(number, os.strerror(number), str(path)) if number in errno.errorcode else None
         raise MapError(reason.replace(str(whole), str(path), 1)) from cause
     return surface
+
+
+@cache
+def _head_type() -> TypeAdapter[MapHead]:
+    """Built at its first use: it is slow, and most commands load the plugin and read no map in a worker."""
+    return TypeAdapter(MapHead)
 
 
 def _map(head: MapHead, height_nm: NDArray[Any], whole: Path) -> SurfaceMap:
