@@ -134,11 +134,11 @@ paper: $(VENV)/.installed ## draw the pictures of docs/explanation/paper.md agai
 screenshots: $(VENV)/.installed ## make the pictures of the page in docs/images/page; needs chromium (ARGS="name ...")
 	@$(BIN)/python -m tests.screenshots $(ARGS)
 
-bench: $(VENV)/.installed ## compare polishd with its peers; into build/bench.json (ARGS="name ...")
+bench: $(VENV)/.installed ## compare polishd with its peers; into docs/data/benchmarks.jsonl (ARGS="name ...")
 	@$(ONE_THREAD) $(BIN)/python -m benchmarks $(ARGS)
 
-performance: $(VENV)/.installed ## write the results of make bench into docs/reference/results.md
-	@$(BIN)/python -m docs.reference.performance build/bench.json
+performance: $(VENV)/.installed ## write docs/data/benchmarks.jsonl into docs/reference/results.md
+	@$(BIN)/python -m docs.reference.performance
 	@$(BIN)/python -m docs.reference.cost
 
 claims: $(VENV)/.installed ## list the figures of README and docs, fresh or stale; fails where a page differs (ARGS="--record CLAIM KEY=FIGURE")

@@ -1,6 +1,7 @@
-"""``python -m benchmarks [name ...]``: run the races, print a table, keep each row in ``build/bench.json`` at once.
+"""``python -m benchmarks [name ...]``: run the races, print a table, keep the rows.
 
-A row replaces the one of its name: a run that is interrupted, or of a few names, loses none of the others.
+Each goes into docs/data/benchmarks.jsonl at once and replaces the row of its benchmark and name. Rows that a benchmark
+no longer yields go once it completes: a run that fails, is interrupted, or is of a few names loses none of the others.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import pkgutil
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -22,15 +23,14 @@ from rich.table import Table
 
 import benchmarks
 from benchmarks.harness import Row
+from docs.reference.performance import DATA, read
 
-OUTPUT = Path("build/bench.json")
 PREFIX = "bench_"
 BY_NAME = (
     "choice", "dwell_large", "dwell_million", "effect", "long_programs", "moving", "moving_matrix", "published", "size",
     "sweeps", "watchers",
 )  # fmt: skip
 """Benchmarks that run only by name: they take the longest."""
-Keep = Callable[[Row], None]
 
 
 def discover(folders: Iterable[str], wanted: Sequence[str] = ()) -> list[str]:
@@ -44,11 +44,11 @@ def discover(folders: Iterable[str], wanted: Sequence[str] = ()) -> list[str]:
 
 
 def run(
-    names: Iterable[str], console: Console, package: str = benchmarks.__name__, keep: Keep = lambda _: None
+    names: Iterable[str], console: Console, package: str = benchmarks.__name__, kept: Kept | None = None
 ) -> tuple[list[Row], bool]:
     """Return all rows of these modules, and True if every module completed: a failure does not stop the rest.
 
-    ``keep`` is called with each row at once.
+    ``kept`` gets each row at once.
     """
     rows: list[Row] = []
     complete = True
@@ -58,7 +58,10 @@ def run(
             module = importlib.import_module(f"{package}.{PREFIX}{name}")
             for row in module.rows(lambda message: console.print(f"[dim]{message}[/]")):
                 rows.append(row)
-                keep(row)
+                if kept is not None:
+                    kept.add(name, row)
+            if kept is not None:
+                kept.complete(name)
         except Exception:  # noqa: BLE001  every error is shown, and sets the exit code
             complete = False
             console.print(f"[red]{name} failed[/]")
@@ -84,36 +87,40 @@ def _cost(row: Row, name: str, value: float | None) -> str:
 
 
 class Kept:
-    """``build/bench.json``: all rows by name, each with the day and the load of the machine during its measurement."""
+    """``docs/data/benchmarks.jsonl``: a JSON object a line, ``Row.as_json()`` and three more keys.
+
+    ``benchmark``, the ``date`` and the ``load`` of the machine during its measurement.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Rows of earlier runs."""
+        """Rows of earlier runs; ValueError with file and line where one is not readable."""
         self._path = path
-        try:
-            found = {row["name"]: row for row in json.loads(path.read_text())}
-        except FileNotFoundError:
-            found = {}
-        self._rows: dict[str, dict[str, Any]] = found
+        self._rows = {(row["benchmark"], row["name"]): row for row in read(path)} if path.exists() else {}
+        self._new: set[tuple[str, str]] = set()
 
-    def add(self, row: Row) -> None:
-        """Replace the row of its name, and write the file at once."""
+    def add(self, benchmark: str, row: Row) -> None:
+        """Replace the row of that benchmark and name, and write the file at once."""
         when = {"date": datetime.now(UTC).date().isoformat(), "load": round(os.getloadavg()[0], 1)}
-        kept = {**self._rows, row.name: {**row.as_json(), **when}}
-        write(kept.values(), self._path)
-        self._rows = kept
+        key = benchmark, row.name
+        self._put({**self._rows, key: {"benchmark": benchmark, **row.as_json(), **when}})
+        self._new.add(key)
 
+    def complete(self, benchmark: str) -> None:
+        """Remove the rows of that benchmark that it did not yield."""
+        self._put({key: row for key, row in self._rows.items() if key[0] != benchmark or key in self._new})
 
-def write(rows: Iterable[Mapping[str, Any]], path: Path) -> None:
-    """Write the rows as JSON, all or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(".tmp")
-    draft.write_text(json.dumps(list(rows), indent=2, allow_nan=False) + "\n")
-    draft.replace(path)
+    def _put(self, rows: dict[tuple[str, str], dict[str, Any]]) -> None:
+        """Write the rows in the order of their keys, all or none."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        draft = self._path.with_suffix(".tmp")
+        draft.write_text("".join(json.dumps(rows[key], allow_nan=False) + "\n" for key in sorted(rows)))
+        draft.replace(self._path)
+        self._rows = rows
 
 
 def main(wanted: Sequence[str]) -> int:
     """Run, show, keep; return 1 after a failure."""
-    rows, complete = run(discover(benchmarks.__path__, wanted), Console(stderr=True), keep=Kept(OUTPUT).add)
+    rows, complete = run(discover(benchmarks.__path__, wanted), Console(stderr=True), kept=Kept(DATA))
     Console().print(table(rows))
     return 0 if complete else 1
 

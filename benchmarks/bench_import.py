@@ -1,18 +1,16 @@
 """Start time of imports and shell commands in fresh processes, beside bare Python and numpy.
 
 Least CPU time of the whole process, which on a free machine is the wall time, in turns with the peers, so that a busy
-spell of the machine hits all alike; the spread of the wall time stands in the name. The modules must stay below half a
-second. ``python -X importtime -c 'import polishd.api'`` shows the parts.
+spell of the machine hits all alike. The modules must stay below half a second.
+``python -X importtime -c 'import polishd.api'`` shows the parts.
 """
 
 from __future__ import annotations
 
 import resource
-import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -21,8 +19,6 @@ import numpy as np
 from benchmarks.harness import Progress, Row
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
-Cost = tuple[float, float]
-"""CPU and wall seconds."""
 TURNS = 9
 MOST_NUMPY = 4.4
 """Of ``import numpy``: the most that a module of polishd may cost to import; 0.5 s where numpy takes 0.113 s."""
@@ -45,9 +41,9 @@ def rows(progress: Progress) -> Iterator[Row]:
         cell = write_demo(Path(scratch) / "demo", None, 2.0, 4, None).cell
         ours |= {f"polishd {verb} CELL.toml": ("-m", "polishd", verb, str(cell)) for verb in VERBS}
         taken = measured({**ours, **PEERS}, progress)
-    cpu_s = {name: min(cpu for cpu, _ in costs) for name, costs in taken.items()}
+    cpu_s = {name: min(costs) for name, costs in taken.items()}
     for name in ours:
-        yield Row(f"{name} ({spread([wall for _, wall in taken[name]])})", cpu_s[name], {p: cpu_s[p] for p in PEERS})
+        yield Row(name, cpu_s[name], {peer: cpu_s[peer] for peer in PEERS})
     limit_s = MOST_NUMPY * cpu_s["numpy"]
     late = {name: cpu_s[name] for name in ours if name.startswith("import ") and cpu_s[name] > limit_s}
     if late:
@@ -56,9 +52,9 @@ def rows(progress: Progress) -> Iterator[Row]:
         )
 
 
-def measured(commands: Mapping[str, Sequence[str]], progress: Progress) -> dict[str, list[Cost]]:
-    """Return the costs of ``TURNS`` processes of each command; a first turn, which fills caches, does not count."""
-    taken: dict[str, list[Cost]] = {name: [] for name in commands}
+def measured(commands: Mapping[str, Sequence[str]], progress: Progress) -> dict[str, list[float]]:
+    """CPU seconds of ``TURNS`` processes of each command; a first turn, which fills caches, does not count."""
+    taken: dict[str, list[float]] = {name: [] for name in commands}
     for turn in range(TURNS + 1):
         for name, words in commands.items():
             progress(f"import: {name} {turn}/{TURNS}")
@@ -68,23 +64,16 @@ def measured(commands: Mapping[str, Sequence[str]], progress: Progress) -> dict[
     return taken
 
 
-def cost_of(words: Sequence[str]) -> Cost:
-    """Of one fresh interpreter; RuntimeError where it fails."""
-    before, begin = _children_s(), time.perf_counter()
+def cost_of(words: Sequence[str]) -> float:
+    """CPU seconds of one fresh interpreter; RuntimeError where it fails."""
+    before = _children_s()
     ended = subprocess.run([sys.executable, *words], check=False, capture_output=True)
-    wall_s = time.perf_counter() - begin
     if ended.returncode not in {0, NO_DAEMON if "status" in words else 0}:
         raise RuntimeError(f"{' '.join(words)} failed:\n{ended.stderr.decode(errors='replace')}")
-    return _children_s() - before, wall_s
+    return _children_s() - before
 
 
 def _children_s() -> float:
     """CPU seconds of all ended child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
-
-
-def spread(taken_s: Sequence[float]) -> str:
-    """Describe the distribution of wall times."""
-    low, _, high = statistics.quantiles(taken_s, n=4)
-    return f"{len(taken_s)} runs, wall: {min(taken_s):.3f}, quartiles {low:.3f} and {high:.3f}, {max(taken_s):.3f} s"

@@ -48,7 +48,7 @@ class Row:
         return min(finished) / self.ours if finished and self.ours > 0 else None
 
     def as_json(self) -> dict[str, Any]:
-        """Return the row for ``build/bench.json``."""
+        """Return the row as values of JSON."""
         return {
             "name": self.name,
             "ours": self.ours,

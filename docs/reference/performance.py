@@ -1,9 +1,8 @@
-"""The table of docs/reference/results.md: ``python -m docs.reference.performance build/bench.json``."""
+"""The benchmarks of docs/reference/results.md, from their data: ``python -m docs.reference.performance``."""
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,23 @@ from typing import Any
 from docs.reference.naming import put
 
 PAGE = Path(__file__).with_name("results.md")
+DATA = PAGE.parents[1] / "data" / "benchmarks.jsonl"
+"""Which ``make bench`` keeps (`benchmarks.__main__.Kept`)."""
 MARKS = "<!-- written by make performance -->\n", "<!-- end of what make performance writes -->"
 Row = Mapping[str, Any]
+
+
+def read(path: Path = DATA) -> list[dict[str, Any]]:
+    """Return all rows; ValueError where a line is not one, with the file and the line."""
+    rows: list[dict[str, Any]] = []
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        try:
+            row = json.loads(line)
+            row["benchmark"], row["name"]
+        except (ValueError, TypeError, KeyError) as error:
+            raise ValueError(f"{path}:{number}: no row of a benchmark ({error}): restore the line from git") from error
+        rows.append(row)
+    return rows
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -34,4 +48,4 @@ def _cost(row: Row, name: str, value: float | None) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(put(PAGE.read_text(), table(json.loads(Path(sys.argv[1]).read_text())), MARKS))
+    PAGE.write_text(put(PAGE.read_text(), table(read()), MARKS))

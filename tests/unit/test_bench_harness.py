@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import subprocess
 import sys
@@ -15,7 +14,8 @@ from rich.console import Console
 
 from benchmarks import __main__ as bench
 from benchmarks.harness import Row, cpu_seconds, race
-from docs.reference.performance import table
+from docs.reference.cost import lines_of
+from docs.reference.performance import read, table
 
 
 def burn(seconds: float) -> None:
@@ -206,27 +206,58 @@ class TestRunning:
         assert "half way" in told
 
     def test_a_row_is_kept_as_it_comes_and_the_others_stay(self, package: Path, tmp_path: Path) -> None:
-        path = tmp_path / "build" / "bench.json"
-        bench.Kept(path).add(Row("other", 3.0, {}))
-        bench.run(["bad"], Console(quiet=True), package.name, bench.Kept(path).add)
-        other, good = json.loads(path.read_text())
+        path = tmp_path / "data" / "benchmarks.jsonl"
+        bench.Kept(path).add("other", Row("other", 3.0, {}))
+        bench.run(["bad"], Console(quiet=True), package.name, bench.Kept(path))
+        good, other = read(path)
         assert (other["name"], good["name"], good["peers"]) == ("other", "good", {"peer": 2.0, "stuck": None})
-        assert set(good) == {*Row("a", 1.0, {}).as_json(), "date", "load"}
-        bench.Kept(path).add(Row("other", 2.0, {}))
-        assert [row["ours"] for row in json.loads(path.read_text())] == [2.0, 1.0]
+        assert set(good) == {*Row("a", 1.0, {}).as_json(), "benchmark", "date", "load"}
+        bench.Kept(path).add("other", Row("other", 2.0, {}))
+        assert [row["ours"] for row in read(path)] == [1.0, 2.0]
+
+    def test_a_complete_run_replaces_the_rows_of_its_benchmark_alone(self, package: Path, tmp_path: Path) -> None:
+        path = tmp_path / "benchmarks.jsonl"
+        for name in ("good", "bad", "other"):
+            bench.Kept(path).add(name, Row("of an earlier version", 3.0, {}))
+        bench.run(["good", "bad"], Console(quiet=True), package.name, bench.Kept(path))
+        assert [(row["benchmark"], row["name"]) for row in read(path)] == [
+            ("bad", "good"),  # it failed after this row, so what it had before stays
+            ("bad", "of an earlier version"),
+            ("good", "good"),
+            ("other", "of an earlier version"),
+        ]
 
     def test_rows_are_written_whole(self, tmp_path: Path) -> None:
-        kept = bench.Kept(tmp_path / "bench.json")
-        kept.add(Row("a", 1.0, {"b": None}))
+        kept = bench.Kept(tmp_path / "benchmarks.jsonl")
+        kept.add("a", Row("a", 1.0, {"b": None}))
         with pytest.raises(ValueError, match="JSON"):
-            kept.add(Row("a", float("nan"), {}))
-        assert json.loads((tmp_path / "bench.json").read_text())[0]["ours"] == 1.0
+            kept.add("a", Row("a", float("nan"), {}))
+        assert read(tmp_path / "benchmarks.jsonl")[0]["ours"] == 1.0
+
+    @pytest.mark.parametrize("line", ["{", "[]", '{"name": "a"}'])
+    def test_a_broken_line_is_named(self, tmp_path: Path, line: str) -> None:
+        path = tmp_path / "benchmarks.jsonl"
+        path.write_text('{"benchmark": "a", "name": "a"}\n' + line + "\n")
+        with pytest.raises(ValueError, match=r"benchmarks.jsonl:2: no row of a benchmark"):
+            bench.Kept(path)
 
     def test_the_page_s_table_tells_all(self, tmp_path: Path) -> None:
-        kept = bench.Kept(tmp_path / "bench.json")
-        kept.add(Row("solve", 1.0, {"quick": 2.5, "stuck": None}, "s", {"ours": (0.9, 1.25)}))
-        (row,) = table(json.loads((tmp_path / "bench.json").read_text())).splitlines()[2:]
+        kept = bench.Kept(tmp_path / "benchmarks.jsonl")
+        kept.add("a", Row("solve", 1.0, {"quick": 2.5, "stuck": None}, "s", {"ours": (0.9, 1.25)}))
+        (row,) = table(read(tmp_path / "benchmarks.jsonl")).splitlines()[2:]
         assert row.startswith("| solve | 1 s (0.9 to 1.25) | quick 2.5 s; stuck did not finish | 2.5 | 20")
+
+    def test_the_kept_rows_are_of_benchmarks_that_exist(self) -> None:
+        names = {path.stem.removeprefix(bench.PREFIX) for path in Path(bench.__file__).parent.glob("bench_*.py")}
+        rows = read()
+        assert {row["benchmark"] for row in rows} <= names
+        assert table(rows).count("\n") == len(rows) + 2
+
+    def test_the_picture_of_the_cost_needs_its_rows(self) -> None:
+        rows = read()
+        assert len(lines_of(rows)["MB"]["discs, spot 10 mm"][0]) >= 3
+        with pytest.raises(SystemExit, match=r"in s and MB: run make bench ARGS=size"):
+            lines_of(row for row in rows if row["benchmark"] != "size")
 
     def test_what_takes_longest_is_run_by_name_only(self) -> None:
         folders = [str(Path(bench.__file__).parent)]
