@@ -27,8 +27,8 @@ from docs.reference.performance import DATA, read
 
 PREFIX = "bench_"
 BY_NAME = (
-    "choice", "dwell_large", "dwell_million", "effect", "long_programs", "moving", "moving_matrix", "published", "size",
-    "sweeps", "watchers",
+    "choice", "dwell_large", "dwell_million", "effect", "long_programs", "moving", "moving_matrix", "published",
+    "segment", "size", "sweeps", "watchers",
 )  # fmt: skip
 """Benchmarks that run only by name: they take the longest."""
 
