@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import shutil
 import sys
 import tempfile
@@ -101,6 +102,7 @@ def main() -> int:
     parse.add_argument("--folder", type=Path, default=FOLDER, help="where figures are kept between sittings")
     parse.add_argument("--json", action="store_true", help="nothing but the last line, which is JSON in any case")
     options = parse.parse_args()
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # thousands of daemons would each compile polishd again
     folder = options.folder.resolve()  # strace tells whole paths
     figures = Figures(folder, options.seed)
     run_states(figures, options.states, time.monotonic() + 60 * options.minutes)

@@ -5,18 +5,23 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
+from polishd.daemon.journal import checksums
 from polishd.daemon.journal.checksums import CommitRecord
 from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal.store import connect, register_functions
 from polishd.model.errors import PolishdError
 from tests.campaigns.crash.disk import Files
 from tests.campaigns.crash.recording import STATE, Op
+
+ROWS = 50_000
+"""Checksums of rows that are kept; a recording has some 6,000 rows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +90,44 @@ def _columns(schema: str) -> str:
     return f"SELECT group_concat({'||'.join(f'quote({name})' for name in names)}) FROM {table}"
 
 
+_DIGESTS: dict[bytes, str] = {}
+"""Digests of databases by the hash of their pages: a few hundred commits, in a hundred thousand states."""
+
+
 def digest(connection: sqlite3.Connection) -> str:
-    """All that it holds."""
+    """Return a digest of the format, the tables and all rows; sqlite3.Error where a page cannot be read.
+
+    The rows are read once for each database of identical pages. Pages include those of complete transactions in the
+    WAL, so what is left of other transactions makes no difference.
+    """
+    if not connection.execute("PRAGMA page_count").fetchone()[0]:
+        return _digest_rows(connection)  # ``serialize`` would begin to write to an empty file
+    pages = hashlib.blake2b(connection.serialize(), digest_size=32).digest()
+    if pages not in _DIGESTS:
+        _DIGESTS[pages] = _digest_rows(connection)
+    return _DIGESTS[pages]
+
+
+def _digest_rows(connection: sqlite3.Connection) -> str:
     tables = connection.execute("SELECT sql FROM sqlite_master WHERE type = 'table' ORDER BY name").fetchall()
     held = [connection.execute(_columns(sql)).fetchone()[0] for (sql,) in tables]
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     return hashlib.blake2b(repr((version, *tables, *held)).encode(), digest_size=16).hexdigest()
+
+
+cached_row_crc = lru_cache(ROWS, typed=True)(checksums.row_crc)
+"""``row_crc`` depends on its arguments alone. ``typed``: 1, 1.0 and True are equal, and have different checksums."""
+
+
+@contextmanager
+def cached_checksums() -> Iterator[None]:
+    """Let the journal compute the checksum of identical rows once. It still reads and compares each row."""
+    compute = checksums.row_crc
+    checksums.row_crc = cached_row_crc  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        checksums.row_crc = compute
 
 
 @dataclass(frozen=True, slots=True)

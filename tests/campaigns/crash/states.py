@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import shutil
 import tempfile
@@ -16,14 +17,14 @@ from types import MappingProxyType
 
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from tests.campaigns.crash.disk import Disk, Files
-from tests.campaigns.crash.judge import Judge, Promised, Promises, Verdict
+from tests.campaigns.crash.judge import Judge, Promised, Promises, Verdict, cached_checksums
 from tests.campaigns.crash.recording import STATE, Op
 
 PROCESSES = 2
 KEY_BYTES = 32
 """Half of a state's name is of what is on the disk, half of what was promised."""
-AT_ONCE = 8
-"""Variants of a crash that one process tries at each prefix before it tells."""
+VARIANTS_PER_TASK = 1
+"""Variants of a crash that one process tries at each prefix before it returns its result: some 20 s of work."""
 MEMORY = Path("/dev/shm")
 """Where a disk of each state is laid out: what is synced there costs nothing."""
 
@@ -79,25 +80,42 @@ def round_of(
     folder = Path(tempfile.mkdtemp(prefix="polishd-crash-", dir=MEMORY if MEMORY.is_dir() else None))
     try:
         judge = Judge(folder)
-        for number, disk, promised in crashes(recording, before):
-            for variant in variants if disk.pending() else (variants[:1] if 0 in variants else ()):
-                files = disk.crashed(variant, f"{seed} {number}")
-                key = _key(files, promised)
-                if key not in known and key not in tried.keys:
-                    tried.keys.add(key)
-                    tried.take(judge.judge(files, promised), f"seed {seed}, act {number}, variant {variant}")
+        with cached_checksums():
+            for number, disk, promised in crashes(recording, before):
+                for variant in variants if disk.pending() else (variants[:1] if 0 in variants else ()):
+                    files = disk.crashed(variant, f"{seed} {number}")
+                    key = _key(files, promised)
+                    if key not in known and key not in tried.keys:
+                        tried.keys.add(key)
+                        tried.take(judge.judge(files, promised), f"seed {seed}, act {number}, variant {variant}")
     finally:
         shutil.rmtree(folder)
     return tried
 
 
+_recording: list[Op] = []
+"""Of this process of the pool: sent once."""
+
+
+def _begin_process(recording: Sequence[Op]) -> None:
+    _recording[:] = recording
+    gc.freeze()  # the collector does not visit the recording again
+
+
+def _round_in_process(variants: Sequence[int], seed: int, known: frozenset[bytes]) -> Tried:
+    return round_of(_recording, variants, seed, known)
+
+
 def rounds(recording: Sequence[Op], first: int, seed: int, known: set[bytes]) -> Iterator[tuple[int, Tried]]:
-    """While there are new states, several side by side: how many variants have been tried, and what came of a round."""
-    with ProcessPoolExecutor(PROCESSES, mp_context=get_context("forkserver")) as pool:
+    """Yield the number of variants that were tried and the result of each task, while tasks find new states."""
+    forkserver = get_context("forkserver")
+    with ProcessPoolExecutor(PROCESSES, forkserver, _begin_process, (recording,)) as pool:
         while True:
-            chunks = [range(first + k * AT_ONCE, first + (k + 1) * AT_ONCE) for k in range(PROCESSES)]
+            chunks = [
+                range(first + k * VARIANTS_PER_TASK, first + (k + 1) * VARIANTS_PER_TASK) for k in range(PROCESSES)
+            ]
             before = frozenset(known)
-            tasks = [pool.submit(round_of, recording, chunk, seed, before) for chunk in chunks]
+            tasks = [pool.submit(_round_in_process, chunk, seed, before) for chunk in chunks]
             found = [task.result() for task in tasks]
             yield from zip((chunk.stop for chunk in chunks), found, strict=True)
             if not any(tried.keys for tried in found):

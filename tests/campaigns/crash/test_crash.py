@@ -13,9 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from polishd.daemon.journal.checksums import row_crc
 from tests.campaigns.crash import kills
 from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.figures import SAID
+from tests.campaigns.crash.judge import cached_row_crc, digest
 from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
 from tests.campaigns.crash.recording import Op, files_in, recorded
 from tests.campaigns.crash.states import round_of
@@ -150,3 +152,21 @@ def test_a_landing_that_was_ordered_before_a_start_is_not_its_own() -> None:
     assert found("retract", "force_on") == ["force_on"]
     assert found("engage", "engage", "force_on") == ["engage", "force_on"]
     assert found("engage", "force_on", "motion_started") == ["motion_started"]
+
+
+def test_a_cached_checksum_is_that_of_the_same_values_and_types() -> None:
+    for value in (1, 1.0, True, 0, 0.0, -0.0, False, None, "1", "-0.0", b"1", 0.1, -0.05):
+        for row in (("segment", value, "-0.0"), ("segment", value)):
+            assert cached_row_crc(*row) == row_crc(*row)
+    assert len({cached_row_crc("segment", value) for value in (1, 1.0, True)}) == 3
+
+
+def test_a_changed_row_gives_another_digest_and_an_unchanged_database_the_same(tmp_path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(tmp_path / "a", isolation_level=None)) as connection:
+        found = [digest(connection)]
+        for sql in ("PRAGMA journal_mode=WAL", "CREATE TABLE a (b)", "INSERT INTO a VALUES (1)", "UPDATE a SET b = 2"):
+            connection.execute(sql)
+            found.append(digest(connection))
+            assert found[-1] == digest(connection)
+        assert found[0] == found[1], "the mode is no content"
+        assert len(set(found)) == 4
