@@ -123,7 +123,7 @@ cached_row_crc = lru_cache(ROWS, typed=True)(checksums.row_crc)
 def cached_checksums() -> Iterator[None]:
     """Let the journal compute the checksum of identical rows once. It still reads and compares each row."""
     compute = checksums.row_crc
-    checksums.row_crc = cached_row_crc  # type: ignore[assignment]
+    checksums.row_crc = cached_row_crc
     try:
         yield
     finally:
