@@ -22,6 +22,8 @@ from tests.fakes.wires import Peer
 SILENCE_S = 0.5
 BAD = ("broken replies", "doubled", "late")
 WEIGHTS = {"good": 30, "broken": 55, "doubled": 8, "late": 2, "lost": 1, "refused": 2, "dribbled": 2}
+IN_PLACE = WEIGHTS | {"good": 40, "broken": 20}
+"""Where a broken one comes in place of the good one."""
 SELDOM = WEIGHTS | {"good": 80, "broken": 20}
 """Where each broken one costs the connection, and opening needs several that are good."""
 NEVER_ON_WIRES = ("late", "lost")
@@ -105,7 +107,7 @@ class Nasty(Peer):
         talk.say = self.treat
         self.rng = random.Random(seed)
         self.counts = Counter[str]()
-        weights = WEIGHTS if talk.resyncs and not talk.ends else SELDOM
+        weights = SELDOM if talk.ends else WEIGHTS if talk.resyncs else IN_PLACE
         self._kinds = [kind for kind in weights if kind in talk.kinds and kind not in without]
         self._weights = [weights[kind] for kind in self._kinds]
         self._older: deque[bytes] = deque([b"\0"], maxlen=8)

@@ -126,6 +126,7 @@ class Rtde(Talk):
     name = "Universal Robots, RTDE"
     driver = "universal_robots"
     resyncs = False
+    ends = True
     least = 0.1  # five good answers in a row open it, and nonsense ends it
     kinds = frozenset(WEIGHTS) - {"late", "refused"}
     period_s = 0.01

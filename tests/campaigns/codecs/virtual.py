@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import selectors
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
 
 from polishd.drivers.transport import streams
 from polishd.drivers.transport.streams import ReadBuffer
+from polishd.util import address_claims
+from polishd.util.address_claims import KeptClaims
 from tests.fakes.wires import Peer
 
 
@@ -29,6 +34,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         return self.now_s
+
+    async def getaddrinfo(self, host: Any, port: Any, **_: Any) -> Any:
+        """Resolve each host to loopback at once: a name server would be asked in a thread."""
+        return [(socket.AF_INET, socket.SOCK_STREAM, 0, "", ("127.0.0.1", port))]
 
     async def create_connection(self, protocol_factory: Callable[[], Any], *_: Any, **__: Any) -> Any:
         """In place of a socket: a connection to the peer."""
@@ -51,14 +60,17 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 class _Jumping(selectors.DefaultSelector):
+    """Moves the clock instead of waiting. No file is watched but the loop's own, so nothing is polled for."""
+
     def __init__(self, loop: VirtualLoop) -> None:
         super().__init__()
         self._loop = loop
 
     def select(self, timeout: float | None = None) -> list[Any]:
-        if timeout:
-            self._loop.now_s += timeout
-        return super().select(0)
+        if timeout is None:  # no timer is set: only a thread can go on
+            return super().select(None)
+        self._loop.now_s += timeout
+        return []
 
 
 class VirtualTransport(asyncio.Transport):
@@ -114,9 +126,15 @@ class VirtualPort(ReadBuffer):
 
 @contextmanager
 def virtual(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualLoop]:
-    """The loop, for the time of the block; all clocks are its own, and nothing is left running in it."""
-    loop = VirtualLoop()
-    with monkeypatch.context() as patch:
+    """The loop, for the time of the block; all clocks are its own, and nothing is left running in it.
+
+    Claims on addresses are kept for the time of the block, as the daemon keeps them while a connection is lost: their
+    files took more time than the drivers. The files are in a folder of this block, so that processes can run side by
+    side.
+    """
+    loop, claims = VirtualLoop(), KeptClaims()
+    with monkeypatch.context() as patch, TemporaryDirectory() as folder, claims.keeping():
+        patch.setattr(address_claims, "FOLDERS", (Path(folder),))
         patch.setattr(time, "monotonic", loop.time)
         patch.setattr(streams, "_open_serial", loop.open_serial)
         try:
@@ -126,3 +144,4 @@ def virtual(monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualLoop]:
             assert loop.failures == [], loop.failures[:3]
         finally:
             loop.close()
+            claims.release()
