@@ -27,7 +27,7 @@ from pathlib import Path
 
 from polishd.util.files import write_atomic
 from tests.campaigns import beside
-from tests.campaigns.codecs import kept as codecs
+from tests.campaigns.codecs import results as codecs
 from tests.campaigns.faults import kept as faults
 from tests.campaigns.pits import kept as pits
 
@@ -38,7 +38,7 @@ CAMPAIGNS: dict[str, Callable[[], Iterator[bool]]] = {
     "faults": lambda: (row["of"] == faults.of_case(row["link"]) for row in faults.Kept().cases()),
     "losses": lambda: (row["of"] == faults.of_case(row["link"]) for row in faults.Kept().losses()),
     "pits": lambda: (row["of"] == pits.of_case(row["link"]) for row in pits.Kept().rows()),
-    "replies": lambda: (row["of"] == codecs.DRIVERS[row["driver"]].of for row in codecs.Kept().rows()),
+    "replies": lambda: (row["of"] == codecs.DRIVERS[row["driver"]].of for row in codecs.Results().rows()),
 }
 """Campaigns whose rows have hashes of their own: for each row, whether it was measured on the present sources."""
 

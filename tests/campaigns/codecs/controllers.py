@@ -1,6 +1,6 @@
 """What libraries answer: the variables of a controller over OPC UA and ADS.
 
-Bytes and their order are the libraries' affair. What is told apart here is types, numbers that are none, what is
+Bytes and their order are the libraries' affair. What is distinguished here is types, numbers that are none, what is
 missing, errors of single variables, and timestamps.
 """
 
@@ -33,7 +33,7 @@ RANGES = {"int16": 1 << 15, "uint16": 1 << 16, "int32": 1 << 31, "uint32": 1 << 
 
 
 class Controller:
-    """Tells all variables of a profile, each with a value of its own, and now and then one that is none."""
+    """Gives all variables of a profile, each with another value, and now and then one that is no value."""
 
     def __init__(self, name: str, seed: int) -> None:
         self.profile = load_controller_profile(name, Path())
@@ -50,11 +50,11 @@ class Controller:
         number = self.counts.total()
         self.counts["broken" if self.broken else "good"] += 1
         self.truth = {name: self._value(point, number + at) for at, (name, point) in enumerate(self.points.items())}
-        told = {self.points[name].address: value for name, value in self.truth.items()}
+        given = {self.points[name].address: value for name, value in self.truth.items()}
         if self.broken:
             point = self.rng.choice(list(self.points.values()))
-            told[point.address] = self._nonsense(point)
-        return told
+            given[point.address] = self._nonsense(point)
+        return given
 
     def _value(self, point: Variable, number: int) -> Any:
         match point.type:
@@ -98,16 +98,18 @@ class OpcUaServer(Controller):
         return ["", "urn:polishd:handover"]
 
     async def read_attributes(self, nodes: list[Any], _attribute: object) -> list[Any]:
-        told = list(self.reading().values())
-        answers = [_answer(value) for value in told]
+        given = list(self.reading().values())
+        answers = [_answer(value) for value in given]
         if self.broken and self.rng.random() < 0.2:
             answers[0].StatusCode = ua.StatusCode(ua.StatusCodes.BadSensorFailure)
         return answers
 
 
 def _answer(value: Any) -> Any:
-    told = SimpleNamespace(Value=value)
-    return SimpleNamespace(Value=told, StatusCode=None, SourceTimestamp=NOW, ServerTimestamp=NOW + timedelta(seconds=1))
+    given = SimpleNamespace(Value=value)
+    return SimpleNamespace(
+        Value=given, StatusCode=None, SourceTimestamp=NOW, ServerTimestamp=NOW + timedelta(seconds=1)
+    )
 
 
 class AdsServer(Controller):
@@ -145,8 +147,8 @@ Make = Callable[[pytest.MonkeyPatch, int], tuple[Controller, Variables]]
 MAKERS: dict[str, Make] = {"PLC robot, OPC UA": opcua, "PLC robot, ADS": ads}
 
 
-async def read_for_ever(variables: Variables, controller: Controller, bad: int) -> Counter[str]:
-    """Until so many readings were broken; no good one is refused, and what is taken of broken ones is counted."""
+async def read_until(variables: Variables, controller: Controller, bad: int) -> Counter[str]:
+    """Read until so many readings were broken; count which are taken. AssertionError if a good one is refused."""
     outcomes = Counter[str]()
     opened = False
     while controller.counts["broken"] < bad:

@@ -18,7 +18,7 @@ from polishd.drivers.monitor_line import MonitorLine
 from polishd.drivers.profile_device import build
 from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.model.devices import LoaderTimes, MonitorTimes, SensorTimes
-from tests.campaigns.codecs.nasty import Talk
+from tests.campaigns.codecs.faulty_peer import Talk
 from tests.fakes.devices_by_profile import shipped
 
 LINE = SerialLine(Path("line"), 115200)
@@ -50,7 +50,7 @@ class Numbered(Talk):
     def refusal(self, reply: bytes) -> bytes:
         return self._line("ERR,refused")
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         for line in sent.split(b"\n"):
             text, _, check = line[line.rfind(b"$") + 1 :].rstrip(b"\r").rpartition(b"*")
             number = text.partition(b",")[0]
@@ -180,7 +180,7 @@ class Plain(Talk):
     pattern: re.Pattern[bytes]
     refused: re.Pattern[bytes]
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         for line in sent.split(b"\n")[:-1]:
             if text := line.strip():
                 is_answer = self.pattern.fullmatch(text) or self.refused.match(text)
@@ -261,10 +261,10 @@ class LinuxCnc(Talk):
         self._address = address
         self._connection: RshConnection | None = None
         self._asked = b""
-        self._told: dict[bytes, bytes] = {}
+        self._answered: dict[bytes, bytes] = {}
 
     async def open(self) -> None:
-        self._told.clear()
+        self._answered.clear()
         self._connection = RshConnection(self._address, ("EMC", "EMCTOO"), self.silence_s)
         await self._connection.open()
 
@@ -281,9 +281,9 @@ class LinuxCnc(Talk):
             elif words == [b"VERBOSE", b"ON"]:
                 yield b"SET VERBOSE ACK\r\n"
             elif verb == b"GET":
-                self._told[words[0]] = self._value(words[0])
-                self.truth = tuple(self._told.values())
-                yield words[0] + b" " + self._told[words[0]] + b"\r\n"
+                self._answered[words[0]] = self._value(words[0])
+                self.truth = tuple(self._answered.values())
+                yield words[0] + b" " + self._answered[words[0]] + b"\r\n"
 
     def _value(self, name: bytes) -> bytes:
         number = next(self.numbers)
@@ -302,7 +302,7 @@ class LinuxCnc(Talk):
         verb, name, *_ = *self._asked.upper().split(), b""
         return b"%b NAK\r\n" % (verb if verb == b"HELLO" else verb + b" " + name)
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         name, said = reply.split(b" ")[0] + b" ", [line.strip() for line in sent.split(b"\n")[:-1]]
         if reply.strip() in said[:-1]:  # what follows it would answer the next request
             return False

@@ -14,8 +14,8 @@ from polishd.drivers.plc_robot.modbus import Modbus, ModbusAddress, place
 from polishd.drivers.plc_robot.variables import watched
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.modbus_link import ModbusLink
+from tests.campaigns.codecs.faulty_peer import Talk
 from tests.campaigns.codecs.lines import HOST, LINE
-from tests.campaigns.codecs.nasty import Talk
 
 UNIT = 3
 MBAP = struct.Struct(">HHHB")
@@ -137,7 +137,7 @@ class TcpSlave(Slave):
             reply[:2] + b"\0\1" + reply[4:-1] + stale[-1:],
         ]
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         good, at = self.body_of(reply), 0
         while len(sent) - at >= MBAP.size:
             number, protocol, size, unit = MBAP.unpack_from(sent, at)
@@ -162,7 +162,7 @@ class RtuSlave(Slave):
     def body_of(self, reply: bytes) -> bytes:
         return reply[1:-2]
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         size, good = len(reply), self.body_of(reply)
         for at in range(len(sent)):
             for end in (at + size, at + 5):

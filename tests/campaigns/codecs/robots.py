@@ -22,8 +22,8 @@ from polishd.drivers.robot_link.protocol import FrameType
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots import driver
 from polishd.drivers.universal_robots.rtde import OUTPUTS, RtdeConnection, UrRegisters
+from tests.campaigns.codecs.faulty_peer import WEIGHTS, Talk
 from tests.campaigns.codecs.lines import HOST
-from tests.campaigns.codecs.nasty import WEIGHTS, Talk
 
 BOOT = "boot-1"
 
@@ -59,9 +59,9 @@ class RobotLink(Talk):
 
     async def ask(self) -> Any:
         assert self._connection is not None
-        told = (await self._connection.command(FrameType.HOLD, {})).progress
-        buffer_s = told.buffer_s if math.isfinite(self._connection.progress.buffer_s) else math.nan
-        return told.state, told.accepted, told.executed, told.stops, buffer_s
+        progress = (await self._connection.command(FrameType.HOLD, {})).progress
+        buffer_s = progress.buffer_s if math.isfinite(self._connection.progress.buffer_s) else math.nan
+        return progress.state, progress.accepted, progress.executed, progress.stops, buffer_s
 
     def replies(self, data: bytes) -> Iterable[bytes]:
         while data:
@@ -87,7 +87,7 @@ class RobotLink(Talk):
         of = FrameType.HELLO if reply[2] == FrameType.WELCOME else FrameType.HOLD
         return link_frame(FrameType.NAK, json.dumps({"of": of, "code": "state", "text": "no"}).encode())
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         """What has a right checksum is ours. An ACK has no number: an older one, or a double, may answer the next."""
         return sent.count(reply) <= 1 and not any(one in sent for one in self._said if one != reply)
 
@@ -121,7 +121,7 @@ FORMS = {"DOUBLE": ">d", "UINT32": ">I", "INT32": ">i"}
 
 
 class Rtde(Talk):
-    """Samples come by themselves. Neither number nor checksum: what can be told is kind, length, time and range."""
+    """Samples come by themselves. Neither number nor checksum: what can be checked is kind, length, time and range."""
 
     name = "Universal Robots, RTDE"
     driver = "universal_robots"
@@ -194,7 +194,7 @@ class Rtde(Talk):
     def _package(self, kind: str, payload: bytes) -> bytes:
         return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         """Only its own damages: a stream that is shifted could say anything."""
         return sent in self._own
 
@@ -254,7 +254,7 @@ class Dashboard(Talk):
     def refusal(self, reply: bytes) -> bytes:
         return b"" if reply == self.greeting else b"error: not now\n"
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         lines = [line.strip() for line in sent.split(b"\n")[:-1]]
         answers = (
             lines[1:] if reply == self.greeting and lines and lines[0].startswith(self.greeting[:-1]) else lines[:1]
@@ -333,7 +333,7 @@ class FanucRmi(Talk):
     def refusal(self, reply: bytes) -> bytes:
         return self._line({**json.loads(reply), "ErrorID": 2556941})
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         """A line that has the form of the answer could be the right one, whatever its numbers are."""
         good = json.loads(reply)
         return all(line + b"\n" == reply or not self._is_form(line, good) for line in sent.split(b"\n"))
@@ -430,7 +430,7 @@ class KukaProxy(Talk):
         payload = self._values(["", *[""] * (len(READ_NAMES) - 1)], code=0)
         return self._frame(6, payload, b"\0\0\0")
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         """An answer of the right number, kind and count could be the right one, whatever its digits are."""
         size = 4 + int.from_bytes(sent[2:4]) if len(sent) >= 4 else len(sent) + 1
         rest = sent[size:]

@@ -10,8 +10,8 @@ from typing import Any
 
 from polishd.drivers.abb_rws.services import Account, RwsServices, Symbol
 from polishd.drivers.transport.address import Tcp
+from tests.campaigns.codecs.faulty_peer import Talk
 from tests.campaigns.codecs.lines import HOST
-from tests.campaigns.codecs.nasty import Talk
 
 SYMBOLS = [Symbol("T_ROB1", "polishd_part", "polishd_seen"), Symbol("T_POLISHD", "polishd_watch", "polishd_state")]
 VALUE = re.compile(rb'"value": *"([^"]*)"')
@@ -25,7 +25,7 @@ def http(status: bytes, content: object, length: int | None = None) -> bytes:
 
 
 class RobotWebServices(Talk):
-    """Two variables in turn: an answer names its own. What is told: the name, the form, and what comes unasked."""
+    """Two variables in turn: an answer names its own. Name and form can be checked, and what comes unasked."""
 
     name = "Robot Web Services"
     driver = "abb_rws"
@@ -67,7 +67,7 @@ class RobotWebServices(Talk):
     def refusal(self, reply: bytes) -> bytes:
         return http(b"400 Bad Request", {"_embedded": {"status": {"code": -1073442809, "msg": "not found"}}})
 
-    def tells(self, sent: bytes, reply: bytes) -> bool:
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
         """Another value under the name that was asked for, or under none, could be the answer."""
         if not self._asked:
             return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from polishd.drivers.plc_robot.variables import VariableSnapshot
-from tests.campaigns.codecs.controllers import MAKERS, Make, read_for_ever
+from tests.campaigns.codecs.controllers import MAKERS, Make, read_until
 
 SEED = 15
 
@@ -13,7 +13,7 @@ SEED = 15
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 async def test_no_reading_is_taken_that_is_none(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
     server, variables = make(monkeypatch, SEED)
-    outcomes = await read_for_ever(variables, server, 1_000)
+    outcomes = await read_until(variables, server, 1_000)
     assert outcomes["taken"] == 0
     assert outcomes["value"] > 100
 
@@ -22,12 +22,12 @@ async def test_no_reading_is_taken_that_is_none(monkeypatch: pytest.MonkeyPatch,
 async def test_what_is_taken_is_counted(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
     server, variables = make(monkeypatch, SEED)
 
-    async def gullible() -> VariableSnapshot:
+    async def without_checks() -> VariableSnapshot:
         server.reading()
         return VariableSnapshot(1.0, server.truth)
 
-    monkeypatch.setattr(variables, "read", gullible)
-    outcomes = await read_for_ever(variables, server, 20)
+    monkeypatch.setattr(variables, "read", without_checks)
+    outcomes = await read_until(variables, server, 20)
     assert 0 < outcomes["taken"] < outcomes["value"]
 
 
@@ -36,6 +36,6 @@ async def test_what_is_taken_is_counted(monkeypatch: pytest.MonkeyPatch, make: M
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 async def test_of_a_million_readings_none_is_taken(monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
     server, variables = make(monkeypatch, SEED)
-    outcomes = await read_for_ever(variables, server, 1_000_000)
+    outcomes = await read_until(variables, server, 1_000_000)
     assert outcomes["taken"] == 0
     assert outcomes["value"] > 100_000

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from polishd.drivers.transport.address import SerialLine, Tcp
-from tests.campaigns.codecs import lines, modbus, robots
-from tests.campaigns.codecs.nasty import NEVER_ON_WIRES, Nasty, Talk, ask_for_ever
+from tests.campaigns.codecs import hses, lines, modbus, robots
+from tests.campaigns.codecs.faulty_peer import NEVER_ON_WIRES, FaultyPeer, Talk, ask_until
 from tests.fakes.wires import PtyWire, TcpWire
 from tests.patience import SOON_S
 
@@ -30,21 +30,21 @@ def descriptors() -> int:
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-async def talked(talk: Talk, nasty: Nasty, bad: int) -> None:
+async def talked(talk: Talk, peer: FaultyPeer, bad: int) -> None:
     """Until so many malformed replies came; no task is left of it."""
     tasks = len(asyncio.all_tasks())
-    outcomes = await ask_for_ever(talk, nasty, bad)
+    outcomes = await ask_until(talk, peer, bad)
     assert outcomes["value"] > 0
     assert len(asyncio.all_tasks()) == tasks
 
 
 async def on_serial_line(make: Any, where: Path, bad: int) -> None:
     talk = make(address=SerialLine(where, 115200), silence_s=SILENCE_S)
-    nasty = Nasty(talk, 16, NEVER_ON_WIRES)
-    wire = PtyWire(nasty, where)
+    peer = FaultyPeer(talk, 16, NEVER_ON_WIRES)
+    wire = PtyWire(peer, where)
     try:
         opened = descriptors()
-        await talked(talk, nasty, bad)
+        await talked(talk, peer, bad)
         assert descriptors() == opened
     finally:
         await wire.close()
@@ -52,15 +52,41 @@ async def on_serial_line(make: Any, where: Path, bad: int) -> None:
 
 async def on_tcp(make: Any, bad: int) -> None:
     opened = descriptors()
-    nasty = Nasty(make(silence_s=SILENCE_S), 16, NEVER_ON_WIRES)
-    wire = await TcpWire(nasty).start()
-    nasty.talk = make(address=Tcp("127.0.0.1", wire.port), silence_s=SILENCE_S)
-    nasty.talk.say = nasty.treat
+    peer = FaultyPeer(make(silence_s=SILENCE_S), 16, NEVER_ON_WIRES)
+    wire = await TcpWire(peer).start()
+    peer.talk = make(address=Tcp("127.0.0.1", wire.port), silence_s=SILENCE_S)
+    peer.talk.say = peer.treat
     try:
-        await talked(nasty.talk, nasty, bad)
+        await talked(peer.talk, peer, bad)
     finally:
         await wire.close()
     await until(lambda: descriptors() <= opened)  # the far ends hear of it in their own turn
+
+
+class Datagrams(asyncio.DatagramProtocol):
+    """The device's UDP port."""
+
+    def __init__(self, peer: FaultyPeer) -> None:
+        self._peer = peer
+
+    def connection_made(self, transport: Any) -> None:
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        self._peer.write = lambda reply: self._transport.sendto(reply, addr)
+        self._peer.on_bytes(data)
+
+
+async def on_udp(make: Any, bad: int) -> None:
+    opened, peer = descriptors(), FaultyPeer(make(silence_s=SILENCE_S), 16, NEVER_ON_WIRES)
+    loop = asyncio.get_running_loop()
+    port, _ = await loop.create_datagram_endpoint(lambda: Datagrams(peer), local_addr=("127.0.0.1", 0))
+    peer.talk = make(address=Tcp("127.0.0.1", port.get_extra_info("sockname")[1]), silence_s=SILENCE_S)
+    try:
+        await talked(peer.talk, peer, bad)
+    finally:
+        port.close()
+    await until(lambda: descriptors() <= opened)
 
 
 async def until(holds: Callable[[], bool]) -> None:
@@ -79,6 +105,11 @@ async def test_broken_replies_on_a_serial_line(tmp_path: Path, make: Any) -> Non
 @pytest.mark.parametrize("make", NETWORK, ids=lambda one: one.name)
 async def test_broken_replies_on_tcp(make: Any) -> None:
     await on_tcp(make, 60)
+
+
+@pytest.mark.full
+async def test_broken_replies_on_udp() -> None:
+    await on_udp(hses.Controller, 60)
 
 
 @pytest.mark.slow

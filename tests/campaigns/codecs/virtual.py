@@ -49,6 +49,15 @@ class VirtualLoop(asyncio.SelectorEventLoop):
             self.peer.on_connect()
         return wire, protocol
 
+    async def create_datagram_endpoint(self, protocol_factory: Callable[[], Any], *_: Any, **__: Any) -> Any:
+        """In place of a UDP socket: one that is connected to the peer."""
+        protocol = protocol_factory()
+        wire = VirtualDatagrams(self, protocol)
+        protocol.connection_made(wire)
+        if self.peer is not None:
+            self.peer.write = wire.say
+        return wire, protocol
+
     def say(self, data: bytes) -> None:
         """The far end of the line: what comes late comes to whoever has the port open then."""
         if self.port is not None:
@@ -103,6 +112,31 @@ class VirtualTransport(asyncio.Transport):
 
     def close(self) -> None:
         self.abort()
+
+
+class VirtualDatagrams(asyncio.DatagramTransport):
+    """One UDP socket: datagrams that come after its end are lost."""
+
+    def __init__(self, loop: VirtualLoop, protocol: Any) -> None:
+        super().__init__()
+        self._loop, self._protocol, self._closed = loop, protocol, False
+
+    def say(self, data: bytes) -> None:
+        """Pass a datagram of the peer on."""
+        if not self._closed:
+            self._protocol.datagram_received(data, ("127.0.0.1", 1))
+
+    def sendto(self, data: Any, addr: Any = None) -> None:
+        if not self._closed and self._loop.peer is not None:
+            self._loop.peer.on_bytes(bytes(data))
+
+    def is_closing(self) -> bool:
+        return self._closed
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self._loop.call_soon(self._protocol.connection_lost, None)
 
 
 class VirtualPort(ReadBuffer):

@@ -1,7 +1,7 @@
-"""A peer that answers by broken, doubled, late and lost replies, and a client that must take none of them for a value.
+"""A device that sends broken, doubled, late and lost replies, and a client that must take none of them for a value.
 
-Each good reply bears a value of its own, so that a value tells which request it answers. What a protocol cannot tell
-from an answer (a digit turned over where there is no checksum) is counted, and not sent.
+Each good reply has another value, so that the value shows which request it answers. What a protocol cannot distinguish
+from an answer (a changed digit where there is no checksum) is counted as left out, and not sent.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ IN_PLACE = WEIGHTS | {"good": 40, "broken": 20}
 SELDOM = WEIGHTS | {"good": 80, "broken": 20}
 """Where each broken one costs the connection, and opening needs several that are good."""
 NEVER_ON_WIRES = ("late", "lost")
-"""There time is real, and nobody waits for what does not come."""
+"""There time is real: waiting would take long."""
 IN_A_ROW = 3
 ENOUGH = 50
-"""Tries for a damage that can be told."""
+"""Tries for a damage that the protocol can detect."""
 EXAMPLES = 3
 
 
 class Talk(ABC):
-    """One codec: the driver's end, what its device answers, and what the protocol can tell from an answer."""
+    """One codec: the driver's end, what its device answers, and what the protocol can distinguish from an answer."""
 
     name: str
     driver: str
@@ -50,12 +50,14 @@ class Talk(ABC):
     """What happens to its replies."""
     least = 0.5
     """Share of good replies that must come through."""
+    answers_in_s = 0.001
+    """Time from a request to its answer."""
 
     def __init__(self, silence_s: float = SILENCE_S) -> None:
         self.silence_s = silence_s
         self.numbers = itertools.count(1)
         self.say: Callable[[bytes], None] = lambda reply: None
-        """Where goes what it says by itself."""
+        """Sends what comes without a request."""
         self.truth: Any = None
         """The value of the last good reply."""
         self.taken: list[str] = []
@@ -78,10 +80,14 @@ class Talk(ABC):
         """Good ones, to the requests in the data."""
 
     @abstractmethod
-    def tells(self, sent: bytes, reply: bytes) -> bool:
-        """Nothing in what is sent could be another answer than that reply."""
+    def distinguishes(self, sent: bytes, reply: bytes) -> bool:
+        """Return whether nothing in what is sent could be another answer than that reply."""
 
-    def wired(self, monkeypatch: pytest.MonkeyPatch, nasty: Nasty) -> None:
+    def distinguishes_each(self, sent: Sequence[bytes], reply: bytes) -> bool:
+        """The same for messages, one after the other: together they are a stream of bytes."""
+        return self.distinguishes(b"".join(sent), reply)
+
+    def wired(self, monkeypatch: pytest.MonkeyPatch, peer: FaultyPeer) -> None:
         """Where it has a bus of its own, lay it."""
         return
 
@@ -98,7 +104,7 @@ class Talk(ABC):
         return ()
 
 
-class Nasty(Peer):
+class FaultyPeer(Peer):
     """The far end of a talk."""
 
     def __init__(self, talk: Talk, seed: int, without: Sequence[str] = ()) -> None:
@@ -126,10 +132,10 @@ class Nasty(Peer):
             self.treat(reply)
 
     def treat(self, reply: bytes) -> None:
-        """Send it, or what has become of it."""
+        """Send the reply as it is, damaged, several times, late, or not at all."""
         [kind] = self.rng.choices(self._kinds, self._weights)
         self.counts[kind] += 1
-        sent, delay_s = [reply], 0.001
+        sent, delay_s = [reply], self.talk.answers_in_s
         if kind == "broken":
             sent = self._broken(reply)
         elif kind == "doubled":
@@ -148,14 +154,14 @@ class Nasty(Peer):
             asyncio.get_running_loop().call_later(delay_s + 1e-6 * at, self.write, data)
 
     def _broken(self, reply: bytes) -> list[bytes]:
-        """Three and the good one, or one instead of it."""
+        """Return three damaged ones and the good one, or a damaged one instead of it."""
         after = [reply] if self.talk.resyncs else []
         for _ in range(ENOUGH):
             sent = [self._damaged(reply) for _ in range(3 if self.talk.resyncs else 1)]
-            if self.talk.tells(b"".join(sent + after), reply):
+            if self.talk.distinguishes_each(sent + after, reply):
                 self.counts["broken replies"] += len(sent)
                 return sent + after
-            self.counts["not to be told"] += 1
+            self.counts["left out"] += 1
         return [reply]
 
     def _damaged(self, reply: bytes) -> bytes:
@@ -182,14 +188,14 @@ class Nasty(Peer):
         ])  # fmt: skip
 
 
-async def ask_for_ever(talk: Talk, nasty: Nasty, bad: int) -> Counter[str]:
-    """Ask until so many malformed or late replies came, open again what is lost; what came of it."""
+async def ask_until(talk: Talk, peer: FaultyPeer, bad: int) -> Counter[str]:
+    """Ask until so many malformed or late replies came; open again what is lost. Return how often each outcome came."""
     outcomes = Counter[str]()
-    while nasty.bad < bad:
+    while peer.bad < bad:
         try:
             await talk.open()
-            refused = 0  # in a row: a link that died of a nonsense says so to whoever asks
-            while nasty.bad < bad and refused < IN_A_ROW:
+            refused = 0  # in a row: a link that ended because of nonsense refuses each request
+            while peer.bad < bad and refused < IN_A_ROW:
                 refused = 0 if await _ask(talk, outcomes) else refused + 1
         except PolishdError:
             outcomes["lost"] += 1
@@ -213,15 +219,15 @@ async def _ask(talk: Talk, outcomes: Counter[str]) -> bool:
     return True
 
 
-def require_said(nasty: Nasty, outcomes: Counter[str]) -> None:
-    """All kinds of replies came, and most of the good ones got through."""
-    counts, talk = nasty.counts, nasty.talk
+def require_all_kinds(peer: FaultyPeer, outcomes: Counter[str]) -> None:
+    """Assert that all kinds of replies came, and that most of the good ones got through."""
+    counts, talk = peer.counts, peer.talk
     good = sum(counts[kind] for kind in ("good", "doubled", "dribbled", *(["broken"] if talk.resyncs else [])))
     assert min(counts[kind] for kind in BAD if kind in talk.kinds or kind == "broken replies") > 0, counts
     assert outcomes["value"] > talk.least * good, (counts, outcomes)
 
 
-def require_a_talk(nasty: Nasty, outcomes: Counter[str]) -> None:
-    """So it was, and none was taken for another's value."""
-    require_said(nasty, outcomes)
-    assert outcomes["taken"] == 0, (nasty.talk.name, outcomes["taken"], nasty.talk.taken)
+def require_none_taken(peer: FaultyPeer, outcomes: Counter[str]) -> None:
+    """Assert that, and that no reply was taken for a value that it is not."""
+    require_all_kinds(peer, outcomes)
+    assert outcomes["taken"] == 0, (peer.talk.name, outcomes["taken"], peer.talk.taken)
