@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from pathlib import Path
@@ -44,21 +45,21 @@ class Promises:
     """The journal that was there before."""
     _moved: tuple[str, ...] = ()
     _job: str = ""
-    _reference: sqlite3.Connection = field(default_factory=lambda: sqlite3.connect(":memory:", isolation_level=None))
+    _reference: sqlite3.Connection = field(init=False)
     _versions: list[str] = field(default_factory=list)
+    _before: list[bytes] = field(default_factory=list)
+    """Databases before each commit that has begun and has not returned, as ``_versions`` without the last."""
     _loaded: str = ""
 
     def __post_init__(self) -> None:
-        self._reference.execute("PRAGMA foreign_keys=ON")
-        register_functions(self._reference)
-        if self.begun:
-            self._reference.deserialize(self.begun[:18] + b"\1\1" + self.begun[20:])  # no WAL in memory
+        self._reference = _in_memory(self.begun)
         self._versions.append(digest(self._reference))
 
     def take(self, mark: Op) -> None:
         """The next mark."""
         what: Mapping[str, Any] = mark.what
         if "commit" in what:
+            self._before.append(_pages(self._reference))
             for sql, values in what["commit"]:
                 if values is None:
                     self._reference.executescript(sql)
@@ -66,7 +67,7 @@ class Promises:
                     self._reference.execute(sql, values)
             self._versions.append(digest(self._reference))
         elif "durable" in what:
-            self._versions = self._versions[-1:]
+            self._versions, self._before = self._versions[-1:], []
         elif "job" in what:
             self._job = what["job"]
         elif "loads" in what:
@@ -74,9 +75,35 @@ class Promises:
         else:
             self._moved = (*self._moved, what.get("moves", self._loaded))
 
+    def start(self, files: Files) -> None:
+        """Begin with the journal in these files where the program before was killed as it committed."""
+        if not self._before:
+            return
+        with tempfile.TemporaryDirectory(prefix="polishd-crash-") as folder:
+            for name, content in files.items():
+                if JOURNAL_NAME in name:
+                    (Path(folder) / Path(name).name).write_bytes(content)
+            with closing(connect(Path(folder) / JOURNAL_NAME)) as journal:
+                found = digest(journal)
+        if found not in self._versions:
+            return  # lost: as each state from here on will show
+        if found != self._versions[-1]:
+            self._reference = _in_memory(self._before[self._versions.index(found)])
+        self._versions, self._before = [found], []
+
     def now(self) -> Promised:
         """As of the last mark."""
         return Promised(tuple(self._versions), self._moved, self._job)
+
+
+def _in_memory(pages: bytes) -> sqlite3.Connection:
+    """Return a database with these pages; none: an empty one."""
+    connection = sqlite3.connect(":memory:", isolation_level=None)
+    if pages:
+        connection.deserialize(pages[:18] + b"\1\1" + pages[20:])  # no WAL in memory
+    connection.execute("PRAGMA foreign_keys=ON")
+    register_functions(connection)
+    return connection
 
 
 @cache
@@ -100,12 +127,15 @@ def digest(connection: sqlite3.Connection) -> str:
     The rows are read once for each database of identical pages. Pages include those of complete transactions in the
     WAL, so what is left of other transactions makes no difference.
     """
-    if not connection.execute("PRAGMA page_count").fetchone()[0]:
-        return _digest_rows(connection)  # ``serialize`` would begin to write to an empty file
-    pages = hashlib.blake2b(connection.serialize(), digest_size=32).digest()
+    pages = hashlib.blake2b(_pages(connection), digest_size=32).digest()
     if pages not in _DIGESTS:
         _DIGESTS[pages] = _digest_rows(connection)
     return _DIGESTS[pages]
+
+
+def _pages(connection: sqlite3.Connection) -> bytes:
+    """Return all pages; none of an empty database, to which ``serialize`` would begin to write."""
+    return connection.serialize() if connection.execute("PRAGMA page_count").fetchone()[0] else b""
 
 
 def _digest_rows(connection: sqlite3.Connection) -> str:

@@ -109,7 +109,8 @@ class _Reader:
         self._lines = 0
 
     def read(self, account: Path) -> Iterator[Op]:
-        """What one process and its threads did."""
+        """What one process and its threads did; first the mark of its start."""
+        yield Op("mark", began=self._lines, at=self._lines, what={"starts": True})
         with account.open(encoding="ascii", errors="replace") as lines:
             for number, line in enumerate(lines, self._lines):
                 self._lines = number + 1

@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 
 from polishd.daemon.journal.checksums import row_crc
+from polishd.daemon.journal.journal import JOURNAL_NAME
 from tests.campaigns.crash import kills
 from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.figures import SAID
-from tests.campaigns.crash.judge import cached_row_crc, digest
+from tests.campaigns.crash.judge import Promises, cached_row_crc, digest
 from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
-from tests.campaigns.crash.recording import Op, files_in, recorded
+from tests.campaigns.crash.recording import STATE, Op, files_in, recorded
 from tests.campaigns.crash.states import round_of
 from tests.campaigns.site import Site
 from tests.system.sim_rig import wait_for
@@ -170,3 +171,27 @@ def test_a_changed_row_gives_another_digest_and_an_unchanged_database_the_same(t
             assert found[-1] == digest(connection)
         assert found[0] == found[1], "the mode is no content"
         assert len(set(found)) == 4
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_a_commit_that_a_kill_interrupted_is_there_or_not(tmp_path: Path, committed: bool) -> None:
+    """The next start of the program goes on from what the kill left."""
+
+    def commit(*rows: int) -> list[Op]:
+        return [Op("mark", what={"commit": [[f"INSERT INTO a VALUES ({row})", []] for row in rows]})]
+
+    created, durable = Op("mark", what={"commit": [["CREATE TABLE a (b)", None]]}), Op("mark", what={"durable": True})
+    left = tmp_path / JOURNAL_NAME
+    with contextlib.closing(sqlite3.connect(left, isolation_level=None)) as journal:
+        for sql in ("CREATE TABLE a (b)", *(["INSERT INTO a VALUES (1)"] if committed else [])):
+            journal.execute(sql)
+        promises = Promises()
+        for mark in (created, durable, *commit(1)):
+            promises.take(mark)
+        assert len(promises.now().versions) == 2
+        promises.start({f"{STATE}/{JOURNAL_NAME}": left.read_bytes()})
+        assert promises.now().versions == (digest(journal),)
+        journal.execute("INSERT INTO a VALUES (2)")
+        for mark in (*commit(2), durable):
+            promises.take(mark)
+        assert promises.now().versions == (digest(journal),)
