@@ -275,7 +275,8 @@ def _wal_damage(path: Path) -> Damage | None:
     """Return the damage of a frame that a later transaction follows, so that it had been synced.
 
     A damaged frame of the last transaction may be a write that a power failure interrupted: the number of commits
-    shows whether it had returned.
+    shows whether it had returned. Behind it there may be frames of a transaction that an earlier kill or a full disk
+    interrupted: SQLite overwrites them with the same salts, and they have correct checksums among themselves.
     """
     wal = path.with_name(path.name + "-wal")
     try:
@@ -311,7 +312,7 @@ def _frame_damage(frames: list[_Frame], order: str, name: str) -> Damage | None:
         return None
     rest = frames[first.number - 1 :]
     ended = next((frame.number for frame in rest if frame.is_current and frame.commits), None)
-    if ended is not None and any(is_sound(frame) for frame in frames[ended:]):
+    if ended is not None and any(is_sound(frame) for frame in frames[ended : ended + 1]):  # not the rest: see above
         return Damage(f"frame {first.number} of {name} does not match its checksum, and later commits depend on it")
     return None
 

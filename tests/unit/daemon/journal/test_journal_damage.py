@@ -230,6 +230,38 @@ def test_a_torn_end_of_the_wal_is_no_damage(left: Mapping[str, Path], tmp_path: 
     used(state)
 
 
+def test_a_torn_commit_over_an_interrupted_one_is_no_damage(tmp_path: Path) -> None:
+    """A kill as a long transaction was written, then a power failure as the next one overwrote it."""
+    state = tmp_path / "state"
+    state.mkdir()
+    journal = Journal.open(state, job="first", part_id="P1")
+    journal.begin_pass(0, "program", "boot", BLOCKS)
+    journal.flush()
+    held, record = (state / WAL_NAME).read_bytes(), (state / CommitRecord.NAME).read_bytes()
+    journal.record_event(AlarmAcknowledged(alarms=list(range(20_000)), by="me"))
+    journal.flush()
+    killed = copied(state, tmp_path / "killed")
+    journal.close()
+    frame = checksums.FRAME_HEADER.size + 4096
+    (killed / WAL_NAME).write_bytes((killed / WAL_NAME).read_bytes()[:-frame])  # without the frame that commits
+    (killed / CommitRecord.NAME).write_bytes(record)
+    journal = Journal.open(killed, job="first", part_id="P1")
+    journal.record_event(AlarmAcknowledged(alarms=[1], by="me"))
+    journal.flush()
+    cut = copied(killed, tmp_path / "cut")
+    journal.close()
+    whole = (cut / WAL_NAME).read_bytes()
+    commits = [at for at in range(32, len(whole), frame) if checksums.FRAME_HEADER.unpack_from(whole, at)[1]]
+    assert len(whole) > commits[-1] + 3 * frame, "frames of the interrupted transaction follow"
+    assert commits[-1] >= len(held), "the last commit was written over it"
+    torn = bytearray(whole)
+    torn[commits[-1] + 24 : commits[-1] + frame] = bytes(4096)
+    (cut / WAL_NAME).write_bytes(torn)
+    (cut / CommitRecord.NAME).write_bytes(record)
+    with Journal.open(cut, job="first", part_id="P1") as opened:
+        assert [one.cycle for one in opened.passes] == [0]
+
+
 @pytest.mark.parametrize("content", [b"", b"\0" * 47, b"no record at all", b"\xff\xfe"])
 def test_a_record_that_is_not_whole_says_nothing(left: Mapping[str, Path], tmp_path: Path, content: bytes) -> None:
     state = copied(left["closed"], tmp_path / "state")
