@@ -172,7 +172,7 @@ def load() -> float:
 
 
 def _is_loss(fault: str) -> bool:
-    return fault in {"hangs", "unplugged", "reboots", "all garbled"}
+    return fault in {"hangs", "unplugged", "reboots", "all garbled", "all lost"}
 
 
 def first(log: Sequence[Mapping[str, Any]], names: set[str]) -> float | None:
