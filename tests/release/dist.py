@@ -15,6 +15,7 @@ import tarfile
 import tempfile
 import venv
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ import numpy as np
 from tests.unit.maps.maps import dat
 
 ROOT = Path(__file__).resolve().parents[2]
+PIP = ("pip", "pip-*", "setuptools", "setuptools-*", "pkg_resources", "_distutils_hack", "distutils-precedence.pth")
+"""Of a new environment, beside what is installed."""
 ANSWERS = """[kinematics]
 arm = "ur10e"
 tool_length_mm = 180.0
@@ -100,6 +103,12 @@ def first_plan(polishd: Path, folder: Path) -> None:
         raise SystemExit("the plan has no report.html")
 
 
+def megabytes(folder: Path, but: Sequence[str] = ()) -> int:
+    """Return the size of a folder on the disk, without what matches ``but``."""
+    command = ["du", "-sm", *(f"--exclude={name}" for name in but), str(folder)]
+    return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[0])
+
+
 def main() -> None:
     """Run all checks on a folder of distributions."""
     dist = Path(sys.argv[1]).resolve()
@@ -113,8 +122,9 @@ def main() -> None:
         work = Path(made) / "work"
         work.mkdir()
         first_plan(install(wheel, Path(made) / "venv"), work)
-        size = subprocess.run(["du", "-sm", f"{made}/venv/lib"], check=True, capture_output=True, text=True).stdout
-        print(f"{size.split()[0]} MB with pip; the same hashes twice:")
+        packages = next(Path(made, "venv", "lib").glob("python*/site-packages"))
+        print(f"{megabytes(packages, PIP)} MB of site-packages, {megabytes(packages)} MB with pip and setuptools")
+        print("the same hashes twice:")
         for name, digest in again.items():
             print(f"{digest}  {name}")
 
