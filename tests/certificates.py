@@ -1,4 +1,4 @@
-"""TLS certificates for tests: of an authority of their own, valid for as long as a test wants."""
+"""Issue TLS certificates for tests from a private authority, with any validity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _name(name: str) -> x509.Name:
 
 
 class Authority:
-    """Signs certificates; ``write`` puts its own where clients are told to find it."""
+    """Certificate authority; ``write`` writes its certificate to the path that clients are configured with."""
 
     def __init__(self, name: str = "house") -> None:
         self._name, self._key = _name(name), ec.generate_private_key(ec.SECP256R1())
@@ -33,13 +33,13 @@ class Authority:
         )
 
     def write(self, path: Path) -> None:
-        """Its own certificate."""
+        """Write the certificate of the authority."""
         path.write_bytes(self._own.public_bytes(serialization.Encoding.PEM))
 
     def certify(
         self, folder: Path, valid_s: float = 90 * DAY_S, hosts: Sequence[str] = ("127.0.0.1",), name: str = "office"
     ) -> int:
-        """Write ``cert.pem`` and ``key.pem`` of a server, as a renewal does; its serial number."""
+        """Write ``cert.pem`` and ``key.pem`` of a server, as a renewal does, and return the serial number."""
         key, now = ec.generate_private_key(ec.SECP256R1()), datetime.now(UTC)
         names = [x509.IPAddress(ipaddress.ip_address(host)) for host in hosts]
         found = (

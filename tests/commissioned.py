@@ -1,4 +1,4 @@
-"""A profile that is commissioned, for tests of what comes after."""
+"""Write commissioned instrument profiles for tests."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ AT = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
 
 def forged(path: Path) -> Path:
-    """The profile with a record of its values, as if they had been proved."""
+    """Add the commissioning record to a profile, as if its values had been verified."""
     write_commissioned(path, CommissioningRecord(AT, "three bumps", "0" * 64, 0.99, 0.4, load_profile(path).sha256))
     return path
 
 
 def commissioned(folder: Path, **tables: dict[str, Any]) -> Path:
-    """The shipped profile with changes, commissioned, as ``instrument.toml``, and the EDS file of the shipped cell."""
+    """Write the shipped profile with changes as commissioned ``instrument.toml``, and the EDS file of the cell."""
     (folder / "drive.eds").write_bytes(SIMULATED_EDS.read_bytes())
     path = folder / "instrument.toml"
     path.write_text(with_values(SHIPPED.read_text(), tables))

@@ -1,4 +1,4 @@
-"""What every test gets: no task, process or niceness outlives it, and hypothesis behaves alike on every machine."""
+"""Rules for every test: it leaves no task, process or priority behind, and hypothesis is deterministic."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from tests.kinds import mark_others_full
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "data"
 
-# Of a log that is shown.
+# Number of lines of a simulator's log that a failed test shows.
 LAST_LINES = 15
 
-# What is ending when the test ends may take this long to be gone.
+# Time that a process or task may take to end after the test.
 SETTLE_S = 10.0
 
 # A shared machine is sometimes slow: pytest's own timeout catches what hangs. Same examples everywhere.
 hypothesis.settings.register_profile("polishd", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("polishd")
 
-# Hundreds of processes are started here: what they import is compiled once, whatever the environment says of that.
+# The tests start hundreds of processes: what these import is compiled once, whatever the environment sets.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
@@ -41,8 +41,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.pop("COLUMNS", None)
 
 
-# Looking for garbage may take a second of a busy machine, in which a fake device that shares the process says nothing:
-# it is looked for between tests. What collecting makes stays to the end.
+# A garbage collection may take a second on a busy machine, during which a fake device in this process does not answer:
+# it runs between tests only. Objects that exist after the collection of tests are excluded from it.
 gc.disable()
 ALLOCATIONS = 100_000
 TURNS = 10
@@ -50,24 +50,24 @@ TURNS = 10
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Before -m chooses."""
+    """Mark the tests as ``full`` before ``-m`` selects."""
     mark_others_full(items)
 
 
 def pytest_collection_finish() -> None:
-    """What is there now is no garbage."""
+    """Exclude the objects that exist now from garbage collection."""
     gc.freeze()
 
 
 def pytest_runtest_logfinish() -> None:
-    """Between two tests, once there is enough to look at. What stayed is looked at again in every tenth turn only."""
+    """Collect garbage between two tests, once there are enough new objects; old objects in every tenth turn only."""
     young, _, turns = gc.get_count()
     if young > ALLOCATIONS:
         gc.collect(1 if turns < TURNS else 2)
 
 
 class MeasuredMaps:
-    """``maps / name`` is the file; the test is skipped where it is neither in tests/data nor beside the project."""
+    """Measured maps: ``maps / name`` is the path of one. The test is skipped where the file does not exist."""
 
     def __init__(self, unpacked: Path) -> None:
         self._unpacked = unpacked
@@ -84,7 +84,7 @@ class MeasuredMaps:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """A test that failed on a simulated cell tells how the cell's logs ended: its folder is soon gone."""
+    """Add the end of the simulator's logs to the report of a failed test, because its folder is deleted soon."""
     report = yield
     folder = getattr(item, "funcargs", {}).get("tmp_path")
     if report.when == "call" and report.failed and folder is not None:
@@ -96,13 +96,13 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 @pytest.fixture(scope="session")
 def shared_data(tmp_path_factory: pytest.TempPathFactory) -> MeasuredMaps:
-    """Maps that were really measured, by their file's name."""
+    """Return the measured maps by file name."""
     return MeasuredMaps(tmp_path_factory.mktemp("maps"))
 
 
 @pytest.fixture(autouse=True)
 def leaves_nothing_running(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Fail a test that leaves asyncio tasks or child processes running (and end those processes), or this one nicer."""
+    """Fail a test that leaves tasks or child processes running (and kill these), or changes the priority."""
     if inspect.iscoroutinefunction(getattr(request, "function", None)):
         request.getfixturevalue("leaves_no_task")
     before, nice = children(), os.getpriority(os.PRIO_PROCESS, 0)
@@ -127,16 +127,16 @@ async def leaves_no_task() -> AsyncIterator[None]:
 
 
 def children() -> dict[int, str]:
-    """Command lines of our live child processes by pid. Linux only: elsewhere there seem to be none.
+    """Return the command lines of the live child processes by pid; empty on other systems than Linux.
 
-    Called twice a test, where each thread is a file: without Path, which takes three times as long.
+    It is called twice for each test and reads a file for each thread: Path would take three times as long.
     """
     try:
         threads = os.listdir("/proc/self/task")  # noqa: PTH208 -- see above
     except OSError:
         return {}
     pids = [int(pid) for thread in threads for pid in read(f"/proc/self/task/{thread}/children").split()]
-    # Python's own helpers and the reader of maps, at most one each per process and meant to stay
+    # helpers of Python and the reader of maps: at most one each per process, and they stay
     helpers = {
         getattr(resource_tracker._resource_tracker, "_pid", None),
         getattr(forkserver._forkserver, "_forkserver_pid", None),
@@ -153,7 +153,7 @@ def children() -> dict[int, str]:
 
 
 def settled_children(before: dict[int, str]) -> dict[int, str]:
-    """Children that were not there before, once those that are ending have had time to."""
+    """Return the child processes that are new and do not end within ``SETTLE_S``."""
     deadline = time.monotonic() + SETTLE_S
     while True:
         left = {pid: command for pid, command in children().items() if pid not in before}
@@ -163,7 +163,7 @@ def settled_children(before: dict[int, str]) -> dict[int, str]:
 
 
 def read(path: str) -> bytes:
-    """The file's content, or nothing where the process has just gone."""
+    """Return the content of a file; empty where the process has just ended."""
     try:
         file = os.open(path, os.O_RDONLY)
     except OSError:

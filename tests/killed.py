@@ -1,4 +1,4 @@
-"""``kill -9`` at each step of what a process does: it is forked, and ends at the n-th of the steps that were marked."""
+"""Kill a process at each step of its work: a forked process gets SIGKILL at the n-th of its marked steps."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ FAULT = 70
 
 
 class Steps:
-    """Those of one process, as they come; at the one of that number the kernel ends it."""
+    """Count the steps of one process and kill it at the step with that number."""
 
     def __init__(self, last: int) -> None:
         self._last, self._seen = last, 0
 
     def mark(self) -> None:
-        """One more."""
+        """Count one step; kill this process if it is the last."""
         self._seen += 1
         if self._seen == self._last:
             os.kill(os.getpid(), signal.SIGKILL)
 
     def around(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The same, with a step before it and one after it."""
+        """Return the function with a step before and a step after each call."""
 
         def marked(*values: Any, **named: Any) -> Any:
             self.mark()
@@ -36,15 +36,15 @@ class Steps:
 
 
 def killed_at(number: int, work: Callable[[Steps], None]) -> bool:
-    """Whether the kernel ended that work at that step of it, in a process of its own; False: it came to its end.
+    """Run the work in a forked process and return whether it was killed at that step; False: the work completed.
 
-    0 is no step: then it always does. AssertionError where it failed.
+    With 0 the work always completes. AssertionError where it raised an error.
     """
     child = os.fork()
     if child == 0:
         try:
             work(Steps(number))
-        except BaseException:  # noqa: BLE001 - what forked this process goes on in the other one
+        except BaseException:  # noqa: BLE001 - the parent process must not run on in the child
             traceback.print_exc()
             os._exit(FAULT)
         os._exit(0)
@@ -52,5 +52,5 @@ def killed_at(number: int, work: Callable[[Steps], None]) -> bool:
     if os.WIFSIGNALED(status):
         assert os.WTERMSIG(status) == signal.SIGKILL
         return True
-    assert os.WEXITSTATUS(status) == 0, "it failed: see what it printed"
+    assert os.WEXITSTATUS(status) == 0, "the work raised an error: see its traceback"
     return False

@@ -1,9 +1,9 @@
-"""Which tests ``make test`` leaves out: of many of a kind it runs one.
+"""Select the tests that ``make test`` omits: it runs one of many similar tests.
 
-``@pytest.mark.full`` marks a test that says again, at length, what others say in ``make test``.
+``@pytest.mark.full`` marks a thorough test of what shorter tests in ``make test`` also check.
 ``@pytest.mark.one_of_each("case.dialect")`` marks a test of many cases: the first of each dialect stays, the others
 become ``full``. With several names the first of each combination stays, without a name the first of all cases.
-``kind(first, *others)`` says the same of a fixture's values. ``make test-all`` runs them all.
+``kind(first, *others)`` does this for the values of a fixture. ``make test-all`` runs all tests.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import pytest
 
 
 def kind(first: Any, *others: Any) -> list[Any]:
-    """Values of a fixture that are one kind: the first stays, the others are ``full``."""
+    """Return values of a fixture of which the first stays in ``make test`` and the others are ``full``."""
     return [first, *(pytest.param(other, marks=pytest.mark.full) for other in others)]
 
 
 def mark_others_full(items: list[pytest.Item]) -> None:
-    """Of the cases of each ``one_of_each`` test, mark all but the first of each kind as ``full``."""
+    """Mark the cases of each ``one_of_each`` test as ``full``, except the first of each kind."""
     seen = set()
     for item in items:
         mark = item.get_closest_marker("one_of_each")
@@ -34,7 +34,7 @@ def mark_others_full(items: list[pytest.Item]) -> None:
 
 
 def _kind(name: str, item: pytest.Item) -> str:
-    """What the case has at ``argument.attribute``."""
+    """Return the value of ``argument.attribute`` of the case."""
     callspec: Any = getattr(item, "callspec", None)
     if callspec is None:
         raise pytest.UsageError(f"{item.nodeid}: one_of_each needs cases")

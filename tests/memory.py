@@ -1,4 +1,4 @@
-"""Memory that a call takes, beside threads of other tests in the same process."""
+"""Measure the memory that a call takes, while threads of other tests run in the same process."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ READINGS = 3
 
 
 def peak_bytes(run: Callable[[], object], most: float, readings: int = READINGS) -> int:
-    """Highest memory of Python and NumPy during a call, beside what was held before.
+    """Return the highest memory of Python and NumPy during a call, in addition to what was allocated before.
 
-    The trace counts what every thread of the process allocates, so a peak above the most that a test allows is
-    taken again: the call's own comes back, that of another thread does not. The result is the least of the readings;
-    one reading is for what cannot be called twice.
+    The trace counts what every thread of the process allocates, so that a peak above the permitted ``most`` is
+    measured again: the peak of the call recurs, that of another thread does not. The result is the least of the
+    readings. ``readings=1`` is for calls that cannot be repeated.
     """
     least: int | None = None
     for _ in range(readings):

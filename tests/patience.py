@@ -1,4 +1,4 @@
-"""Time limits that a busy machine does not break: those of ``polishd.testing``."""
+"""Time limits of ``polishd.testing``, which suit a busy machine."""
 
 from polishd.testing.helpers import SOON_S, OwnClock, waits, within
 

@@ -1,4 +1,4 @@
-"""Small plans for tests that stream them: those of ``polishd.testing``."""
+"""Small plans of ``polishd.testing`` for tests that stream them."""
 
 from polishd.testing.helpers import plan_of
 

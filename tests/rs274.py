@@ -1,4 +1,4 @@
-"""Programs in the default dialect."""
+"""Programs in the default G-code dialect."""
 
 from __future__ import annotations
 

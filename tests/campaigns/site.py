@@ -1,4 +1,4 @@
-"""A simulated cell under attack: its daemon is started, killed and started again, and the plant is the witness."""
+"""Run a simulated cell for a campaign: start, kill and restart its daemon, and compare journal and plant."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ EXTENDED = {"engage": True, "retracted": False, "boot": False, "lost": False}
 
 
 class Log:
-    """The simulator's own log, read on."""
+    """Reader of the simulator's log that continues where it stopped."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._at = path, 0
         self.events: list[dict[str, Any]] = []
 
     def look(self) -> list[dict[str, Any]]:
-        """All events so far."""
+        """Read the new lines and return all events so far."""
         with self._path.open("rb") as file:
             file.seek(self._at)
             text = file.read()
@@ -47,13 +47,13 @@ class Log:
         return self.events
 
     def last(self, device: str, states: dict[str, bool]) -> bool:
-        """The state after the last of its events that is one of these."""
-        told = (states[e["event"]] for e in reversed(self.look()) if e["device"] == device and e["event"] in states)
-        return next(told, False)
+        """Return the device's state after the last of its events that is in ``states``."""
+        known = (states[e["event"]] for e in reversed(self.look()) if e["device"] == device and e["event"] in states)
+        return next(known, False)
 
 
 class Site:
-    """One cell, and whoever runs it."""
+    """One cell with the processes of its daemon and its restarted devices."""
 
     def __init__(self, files: DemoFiles) -> None:
         self.files = files
@@ -64,7 +64,7 @@ class Site:
     # the daemon
 
     def start(self, command: Sequence[str] = ("-m", "polishd"), tracer: Sequence[str] = ()) -> None:
-        """``polishd run``, or what stands for it."""
+        """Start ``polishd run``, or another command with the cell file as its argument."""
         run = ["run"] if command[-1] == "polishd" else []
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         with self.files.daemon_log.open("ab") as log:
@@ -75,19 +75,19 @@ class Site:
 
     @property
     def ended(self) -> bool:
-        """No daemon runs."""
+        """Whether no daemon runs."""
         return self.process is None or self.process.poll() is not None
 
     @property
     def pid(self) -> int:
-        """The daemon's, whoever traces it; 0 while it has not taken its lock."""
+        """Process id of the daemon, also below a tracer; 0 while it has not taken its lock."""
         try:
             return int((self.files.state_dir / "lock").read_text() or 0)
         except FileNotFoundError:
             return 0
 
     def kill(self) -> None:
-        """All of it: the daemon, its worker, its tracer."""
+        """Kill the daemon, its worker and its tracer."""
         if self.process is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
@@ -95,19 +95,19 @@ class Site:
             self.process = None
 
     def state(self) -> dict[str, Any]:
-        """What ``status`` says; empty where nobody answers."""
+        """Return the answer to ``status``; empty where no daemon answers."""
         try:
             return client.request(self.files.state_dir, "status", 5.0)
         except PolishdError:
             return {}
 
     def order(self, verb: str) -> None:
-        """As the command line does; it may end meanwhile."""
+        """Send a request, as the command line does. The daemon may end before it answers."""
         with contextlib.suppress(PolishdError):
             client.request(self.files.state_dir, verb, 60.0)
 
     def workers(self) -> list[int]:
-        """The compute worker."""
+        """Return the process ids of the compute workers."""
         found = []
         for path in Path("/proc").glob("[0-9]*/cmdline"):
             try:
@@ -121,11 +121,11 @@ class Site:
     # the simulator
 
     def device(self, name: str) -> int:
-        """Its process id."""
+        """Return the process id of a simulated device."""
         return int(json.loads((self.files.sim_dir / "pids.json").read_text())[name])
 
     def reboot(self, name: str) -> None:
-        """Kill it, as a power cut does; it is back when this returns."""
+        """Kill a simulated device, as a power failure does, and return when it runs again."""
         end_pid(self.device(name))
         simulator = (sys.executable, "-m", "polishd.sim_backends", str(self.files.sim))
         command = [*simulator, "--state", str(self.files.sim_dir), "--device", name, "--rebooted"]
@@ -137,14 +137,14 @@ class Site:
         (self.files.sim_dir / "pids.json").write_text(json.dumps({**pids, name: process.pid}))
 
     def rest(self) -> None:
-        """Wait until nothing moves, and nothing presses."""
+        """Wait until the robot stands still and the actuator is retracted."""
         end_s = time.monotonic() + SOON_S
         while self.log.last("robot", MOVING) or self.log.last("actuator", EXTENDED):
             assert time.monotonic() < end_s, f"the cell does not come to rest: {self.log.events[-10:]}"
             time.sleep(LOOK_S)
 
     def close(self) -> None:
-        """Nobody stays."""
+        """End all processes."""
         self.kill()
         for process in self.booted:
             process.terminate()
@@ -152,18 +152,18 @@ class Site:
             if process.stdout is not None:
                 process.stdout.close()
 
-    # the witness
+    # journal and plant
 
     @property
     def _path(self) -> Path:
         return self.files.state_dir / JOURNAL_NAME
 
     def journal(self) -> sqlite3.Connection:
-        """To read."""
+        """Open the journal for reading."""
         return sqlite3.connect(f"file:{self._path}?mode=ro", uri=True)
 
     def job_under_way(self) -> bool:
-        """The next start comes up held."""
+        """Return whether a job is unfinished: then the next start of the daemon is held."""
         if not self._path.exists():
             return False
         with contextlib.suppress(sqlite3.OperationalError), contextlib.closing(self.journal()) as journal:
@@ -171,7 +171,7 @@ class Site:
         return False  # killed before it had tables
 
     def contradictions(self) -> list[str]:
-        """Where the journal and the plant's account of contact tell different things of passes that are settled."""
+        """Return the contradictions between the journal and the plant's record of contact for settled passes."""
         settled = self._passes()
         books = self._account()["programs"]
         unknown = [book["sha256"][:8] for book in books if book["sha256"] not in settled and any(book["contact_s"])]
@@ -180,7 +180,7 @@ class Site:
         return said + disagreements(self._path, known) if settled else said
 
     def _passes(self) -> dict[str, bool]:
-        """By program, each that the journal has: whether it is settled."""
+        """Return for each program hash of the journal whether its pass is settled."""
         if not self._path.exists():
             return {}
         with contextlib.closing(self.journal()) as journal:
@@ -189,17 +189,17 @@ class Site:
             return dict(journal.execute("SELECT program_sha256, ended IS NOT NULL FROM pass").fetchall())
 
     def stands(self) -> list[tuple[float, float]]:
-        """When the tool began to stand on the part, pressing, on ``time.monotonic``, and for how many seconds."""
+        """Return when the tool stood still on the part under force: start on ``time.monotonic`` and duration, in s."""
         found = self._account()["stands"]
         inside = (stand for stand in found if math.hypot(stand["x_mm"], stand["y_mm"]) < APERTURE_MM / 2)
         return [(stand["from_s"], stand["seconds"]) for stand in inside]
 
     def _account(self) -> dict[str, Any]:
-        """The plant's, who writes the first one when there is anything to write."""
+        """Return the plant's record of contact; empty until the plant has written the first one."""
         if not (self.files.sim_dir / "dwell_account.json").exists():
             return {"programs": [], "stands": []}
         return account(self.files)
 
     def change(self, **job: Any) -> None:
-        """Another value of [job] in the cell's file."""
+        """Set values of [job] in the cell file."""
         self.files.cell.write_text(with_values(self.files.cell.read_text(), {"job": job}))

@@ -1,4 +1,4 @@
-"""A whole small cell: simulator and daemon as processes, as ``polishd demo`` starts them."""
+"""Run a small simulated cell: simulator and daemon are processes, as ``polishd demo`` starts them."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Sections = Mapping[str, Mapping[str, Any]]
 
 APERTURE_MM = 30.0
 ONE_PASS = {"tolerance_nm": 5.0, "max_cycles": 2}
-"""So that a job is a pass or two."""
+"""Job that ends after one or two passes."""
 REPORT = ', "run_report"'
-"""Takes seconds: only where somebody looks at it."""
+"""Part of the cell file that requests the run report. Writing one takes seconds: only tests of reports need it."""
 
 PATIENT: Sections = {
     "robot": {"silence_s": 6.0, "watchdog_s": 20.0, "no_progress_s": 5.0},
@@ -33,13 +33,17 @@ PATIENT: Sections = {
     "spindle": {"silence_s": 6.0, "watchdog_s": 6.0},
     "job": {"stream_ahead_s": 12.0},
 }
-"""On a busy machine every process is silent for a while: only one that hangs is so for as long as this."""
+"""Time limits for a busy machine, where every process pauses for a while: only a process that hangs exceeds them."""
 
 
 def write_small(
     out: Path, *, report: bool = False, patient: bool = True, touch_off: bool = False, **job: Any
 ) -> DemoFiles:
-    """The demo's files with a small part, so that a pass takes seconds; its seat is proved where it is asked for."""
+    """Write the demo's files with a small part, so that a pass takes seconds.
+
+    ``report``: write run reports; ``patient``: limits for a busy machine; ``touch_off``: check how the part is seated;
+    ``job``: keys of [job].
+    """
     from polishd.commissioning.rehearsal.simulated_cell import write_demo
 
     files = write_demo(out, None, 2.0, 4, None)
@@ -61,7 +65,7 @@ def write_small(
 def with_part(
     files: DemoFiles, part: Mapping[str, float], make: Callable[[CellConfig], bytes] = demo_program, **surface: float
 ) -> None:
-    """Another part in the same cell, with that surface, and the program that is made for it."""
+    """Put another part with that surface into the cell, and write the program that ``make`` returns for it."""
     files.cell.write_text(with_keys(files.cell.read_text(), {"part": part}))
     files.sim.write_text(with_keys(files.sim.read_text(), {"plant": surface}))
     config = load_config(files.cell)
@@ -69,7 +73,7 @@ def with_part(
 
 
 def with_keys(text: str, sections: Sections) -> str:
-    """The TOML text with these keys, also those that the template leaves at their defaults, and their sections."""
+    """Return the TOML text with these keys. Keys and sections that it lacks are added."""
     lines, wanted, missing = [], {}, dict(sections)
     for line in text.splitlines():
         if line.startswith("["):
@@ -88,7 +92,7 @@ def _assigned(keys: Mapping[str, Any]) -> list[str]:
 
 
 def with_faults(text: str, *faults: Mapping[str, Any]) -> str:
-    """SIM.toml's text with these ``[[fault]]`` in the place of its own."""
+    """Return the text of SIM.toml with its ``[[fault]]`` tables replaced by these."""
     lines, dropped = [], False
     for line in text.splitlines():
         dropped = line.startswith("[[fault]]") or (dropped and not line.startswith(("[", "#")))
@@ -99,7 +103,7 @@ def with_faults(text: str, *faults: Mapping[str, Any]) -> str:
 
 
 def without(text: str, section: str) -> str:
-    """The TOML text less one of its sections."""
+    """Return the TOML text without one of its sections. AssertionError where it lacks that section."""
     head, found, rest = text.partition(f"[{section}]")
     assert found
     return head + "[" + rest.partition("\n[")[2]
@@ -109,7 +113,7 @@ def without(text: str, section: str) -> str:
 def small_cell(
     out: Path, seed: int = 1, speed: float = 10.0, *, report: bool = False, **job: Any
 ) -> Iterator[DemoFiles]:
-    """A running simulator for the small part."""
+    """Run a simulator with the small part for the duration of the block."""
     files = write_small(out, report=report, **job)
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
@@ -117,7 +121,7 @@ def small_cell(
 
 
 class Daemon:
-    """``polishd run`` as a process."""
+    """Process of ``polishd run``; it is killed at the end of a ``with`` block."""
 
     def __init__(self, files: DemoFiles, *options: str) -> None:
         self.files = files
@@ -135,7 +139,7 @@ class Daemon:
         self.process.wait()
 
     def status(self) -> dict[str, Any]:
-        """Its answer to ``status``; empty while it does not answer."""
+        """Return the daemon's answer to ``status``; empty while it does not answer. AssertionError if it has ended."""
         try:
             return client.request(self.files.state_dir, "status", 5.0)
         except PolishdError:
@@ -143,11 +147,11 @@ class Daemon:
             return {}
 
     def wait_for_state(self, state: str) -> dict[str, Any]:
-        """Its status once it is in that state."""
+        """Wait until the daemon is in that state and return its status."""
         return dict(wait_for(lambda: (s := self.status()).get("state") == state and s, f"state {state}"))
 
     def wait_in_contact(self, blocks: int = 150) -> None:
-        """Returns in the middle of a pass."""
+        """Wait until the robot has passed that block of a new pass."""
         before = len(events(self.files, "blocks"))
 
         def runs() -> bool:
@@ -157,38 +161,38 @@ class Daemon:
         wait_for(runs, "a pass")
 
     def wait(self) -> int:
-        """Its exit code, once it ends by itself."""
+        """Wait until the daemon ends without a signal and return its exit code."""
         return self.process.wait(SOON_S)
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal and wait for the end; its exit code."""
+        """Send a signal, wait until the daemon ends and return its exit code."""
         self.process.send_signal(number)
         return self.wait()
 
 
 def events(files: DemoFiles, *names: str) -> list[dict[str, Any]]:
-    """The simulator's own log, in time order."""
+    """Return the simulator's log in time order: all events, or those of these names."""
     lines = (files.sim_dir / "sim.log").read_text().splitlines()
-    told = [json.loads(line) for line in lines if line.endswith("}")]
-    return [event for event in told if not names or event["event"] in names]
+    logged = [json.loads(line) for line in lines if line.endswith("}")]
+    return [event for event in logged if not names or event["event"] in names]
 
 
 def account(files: DemoFiles) -> dict[str, Any]:
-    """The plant's own account of contact time."""
+    """Return the simulated plant's record of contact time, by program and block."""
     return dict(json.loads((files.sim_dir / "dwell_account.json").read_text()))
 
 
 def whole_account(files: DemoFiles) -> dict[str, Any]:
-    """That account once it holds all motion so far: it lags behind the simulator's log."""
+    """Wait until that record contains all motion so far and return it: it lags behind the simulator's log."""
     stopped_s = max(event["mono_s"] for event in events(files, "motion_stopped", "lost"))
 
     def whole() -> dict[str, Any] | None:
-        told = account(files)
-        return told if told["until_s"] >= stopped_s else None
+        written = account(files)
+        return written if written["until_s"] >= stopped_s else None
 
     return dict(wait_for(whole, "the plant's account"))
 
 
 def summary(files: DemoFiles) -> dict[str, Any]:
-    """The run folder's summary."""
+    """Return the summary of the run folder."""
     return dict(json.loads((files.run_dir / "summary.json").read_text()))

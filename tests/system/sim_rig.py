@@ -1,4 +1,4 @@
-"""A simulated cell as a process, and raw clients of its wires. Waits are for conditions, with a limit."""
+"""Run a simulated cell as a process, and speak its protocols with raw clients. Waits have a condition and a limit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ watchdog_s = 3.0
 
 
 def wait_for(condition: Callable[[], Any], what: str, limit_s: float = SOON_S) -> Any:
-    """The condition's first true value."""
+    """Wait until the condition is true and return its value. AssertionError after the limit."""
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
         value = condition()
@@ -44,7 +44,7 @@ def wait_for(condition: Callable[[], Any], what: str, limit_s: float = SOON_S) -
 
 
 def alive(pid: int) -> bool:
-    """Whether the process runs (a zombie does not)."""
+    """Return whether the process runs (a zombie does not)."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -52,7 +52,7 @@ def alive(pid: int) -> bool:
 
 
 class Cell:
-    """A running cell in its state folder."""
+    """Running simulator of a cell, with its state folder."""
 
     def __init__(self, folder: Path, config: str = SMALL, *arguments: str) -> None:
         self.state = folder / "sim"
@@ -72,57 +72,57 @@ class Cell:
 
     @property
     def pids(self) -> dict[str, int]:
-        """Who runs, as the supervisor says."""
+        """Process ids of the devices by name, from the supervisor's file."""
         pids: dict[str, int] = json.loads((self.state / "pids.json").read_text())
         return pids
 
     @property
     def maps(self) -> Path:
-        """The interferometer's folder."""
+        """Folder of the interferometer's maps."""
         return self.state / "maps"
 
     def log(self) -> list[dict[str, Any]]:
-        """Events of the simulator's log; its last line may be incomplete."""
+        """Return the events of the simulator's log. An incomplete last line is left out."""
         path = self.state / "sim.log"
         lines = path.read_text().splitlines(keepends=True) if path.exists() else []
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
     def events(self, *names: str) -> list[str]:
-        """Names of the events so far (of those asked for), in order."""
+        """Return the names of the events so far in order: of all events, or of those with these names."""
         return [entry["event"] for entry in self.log() if not names or entry["event"] in names]
 
     def account(self) -> dict[str, Any]:
-        """The account of dwell as last written."""
+        """Return the record of contact time as last written."""
         account: dict[str, Any] = json.loads((self.state / "dwell_account.json").read_text())
         return account
 
     def robot(self, **hello: Any) -> RobotClient:
-        """A new connection to the robot, closed with the cell at the latest."""
+        """Connect to the robot; the connection is closed with the cell at the latest."""
         client = RobotClient(self.endpoints["robot"], **hello)
         self.clients.append(client)
         return client
 
     def coil(self) -> CoilClient:
-        """A new connection to the actuator."""
+        """Connect to the actuator."""
         client = CoilClient(self.state / "actuator")
         self.clients.append(client)
         return client
 
     def spindle(self) -> SlcanClient:
-        """A new connection to the spindle."""
+        """Connect to the spindle."""
         client = SlcanClient(self.state / "spindle")
         self.clients.append(client)
         return client
 
     def boot(self, device: str) -> None:
-        """Boot one device by hand, as after a power cut."""
+        """Start the process of one device, as after a power failure."""
         process = self._start("--device", device)
         self.booted.append(process)
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["ready"] == device
 
     def end(self) -> int:
-        """SIGTERM; the exit code. Whoever was started is gone afterwards."""
+        """End all processes that were started with SIGTERM and return the simulator's exit code."""
         for process in (*self.booted, self.process):
             process.send_signal(signal.SIGTERM)
         for process in (*self.booted, self.process):
@@ -138,7 +138,7 @@ class Cell:
 
 @contextlib.contextmanager
 def cell(folder: Path, config: str = SMALL, *arguments: str) -> Iterator[Cell]:
-    """A cell for the time of the block."""
+    """Run a cell for the duration of the block."""
     running = Cell(folder, config, *arguments)
     try:
         yield running
@@ -152,13 +152,13 @@ def cell(folder: Path, config: str = SMALL, *arguments: str) -> Iterator[Cell]:
 
 
 def announced(lines: Sequence[bytes], sha256: str = "ab" * 32) -> dict[str, Any]:
-    """What LOAD says of a program."""
+    """Return the content of a LOAD frame for a program."""
     blocks_sha256 = hashlib.sha256(b"".join(line + b"\n" for line in lines)).hexdigest()
     return {"program_sha256": sha256, "blocks_sha256": blocks_sha256, "blocks": len(lines), "approach_blocks": 0}
 
 
 class RobotClient:
-    """The robot link, raw."""
+    """Raw client of the robot link."""
 
     def __init__(self, endpoint: str, role: str = "writer", executed_from: int = 0, lease: str = "") -> None:
         host, port = endpoint.removeprefix("tcp://").split(":")
@@ -179,7 +179,7 @@ class RobotClient:
         self.socket.sendall(f.pack_json(kind, message))
 
     def pump(self) -> None:
-        """Take what has come."""
+        """Process the frames that have arrived."""
         try:
             data = self.socket.recv(1 << 20)
         except TimeoutError:
@@ -205,7 +205,7 @@ class RobotClient:
             self.status, self.lease = message["status"], message.get("lease", self.lease)
 
     def until(self, condition: Callable[[], Any], what: str, *, ping: bool = True) -> Any:
-        """Pump until the condition holds."""
+        """Process frames until the condition is true and return its value."""
 
         def check() -> Any:
             self.pump()
@@ -216,14 +216,14 @@ class RobotClient:
         return wait_for(check, what)
 
     def wait(self, kind: int) -> bytes:
-        """The payload of the next frame of that kind that is not status, progress or credit."""
+        """Wait for a frame of that kind (not status, progress or credit) and return its payload."""
         found = self.until(lambda: [p for k, p in self.others if k == kind], f"frame 0x{kind:02x}")
         self.others = [(k, p) for k, p in self.others if k != kind]
         payload: bytes = found[0]
         return payload
 
     def state(self, state: str) -> None:
-        """Wait for a state."""
+        """Wait until the robot is in that state."""
         self.until(lambda: self.status.get("state") == state, f"robot {state}, is {self.status}")
 
     def load(self, lines: list[bytes], sha256: str = "ab" * 32) -> None:
@@ -234,27 +234,27 @@ class RobotClient:
         self.until(lambda: self.credit[0] == len(lines), "blocks accepted")
 
     def resume(self, until: int | None = None) -> None:
-        """Run."""
+        """Resume motion, up to a block where one is given, and wait for the acknowledgment."""
         self.say(f.RESUME, {"until": until, "stops": self.status["stops"]})
         self.wait(f.ACK)
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self.socket.close()
 
 
 MOST_WATCHDOG_MS = 5000
-"""Of the actuator: a test that a busy machine delays by less does not fall silent."""
+"""Longest watchdog time of the actuator: delays of a busy machine are shorter."""
 
 
 class CoilClient:
-    """The actuator on Modbus RTU, raw."""
+    """Raw client of the actuator: Modbus RTU."""
 
     def __init__(self, path: Path, baud: int = 115200) -> None:
         self.line = serial.Serial(str(path), baud, timeout=SOON_S)
 
     def ask(self, pdu: bytes, size: int) -> bytes:
-        """Send a request; the answer's PDU."""
+        """Send a request and return the PDU of the answer."""
         self.line.write(rtu(1, pdu))
         answer = self.line.read(size + 3)
         assert len(answer) == size + 3
@@ -262,16 +262,16 @@ class CoilClient:
         return answer[1:-2]
 
     def write(self, address: int, value: int) -> None:
-        """Write a register; the echo is checked."""
+        """Write a register and check the echo."""
         pdu = struct.pack(">BHH", 6, address, value)
         assert self.ask(pdu, 5) == pdu
 
     def inputs(self) -> tuple[int, ...]:
-        """State, force, set point, position, fault, heartbeat."""
+        """Return state, force, set point, position, fault and heartbeat, as register values."""
         return struct.unpack(">2x6H", self.ask(struct.pack(">BHH", 4, 0, 6), 14))
 
     def press(self, force_n: float, beat: Callable[[], None] = lambda: None) -> None:
-        """Engage, with the longest watchdog time, and wait for the force."""
+        """Engage with the longest watchdog time and wait for the force; call ``beat`` at each turn."""
         self.write(2, MOST_WATCHDOG_MS)
         self.write(1, round(force_n * 100))
         self.write(0, 1)
@@ -285,12 +285,12 @@ class CoilClient:
         wait_for(pressed, f"{force_n:g} N")
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the serial line."""
         self.line.close()
 
 
 class SlcanClient:
-    """The spindle's CiA 402 drive on slcan, raw: SDO transfers whose answers ``seen`` has."""
+    """Raw client of the spindle's CiA 402 drive: SDO transfers on slcan; ``seen`` has the answers by identifier."""
 
     def __init__(self, path: Path) -> None:
         self.line = serial.Serial(str(path), 115200, timeout=0.02)
@@ -300,12 +300,12 @@ class SlcanClient:
         self._rpm = 0.0
 
     def send(self, frame: str) -> None:
-        """``identifier#data``."""
+        """Send a frame, written ``identifier#data``."""
         identifier, data = frame.split("#")
         self.line.write(f"t{identifier}{len(data) // 2}{data}\r".encode())
 
     def pump(self) -> None:
-        """Take what has come: the last data of each identifier."""
+        """Process the frames that have arrived and keep the last data of each identifier."""
         self.rest += self.line.read(4096)
         *lines, self.rest = self.rest.split(b"\r")
         for line in lines:
@@ -318,7 +318,7 @@ class SlcanClient:
         self.send("605#" + (struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + data).hex())
 
     def spin(self, rpm: int) -> None:
-        """A heartbeat; then profile velocity and a speed, or a quick stop."""
+        """Send a heartbeat, then a speed in profile velocity mode, or a quick stop for 0."""
         self.send("745#05")
         if rpm == 0:
             return self.write(0x6040, 0x02, 2)
@@ -329,7 +329,7 @@ class SlcanClient:
         return self.write(0x60FF, 10 * rpm, 4)
 
     def rpm(self) -> float:
-        """Its speed; 0 before the first answer."""
+        """Request the speed and return the last answer; 0 before the first one."""
         self.send("605#406c600000000000")
         self.pump()
         answer = self.seen.get("585", "")
@@ -338,11 +338,11 @@ class SlcanClient:
         return self._rpm
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the serial line."""
         self.line.close()
 
 
 def end_pid(pid: int, number: int = signal.SIGKILL) -> None:
-    """Kill one process and wait until it is gone."""
+    """Send a signal to one process and wait until it has ended."""
     os.kill(pid, number)
     wait_for(lambda: not alive(pid), f"process {pid} to be gone")
