@@ -1,4 +1,4 @@
-"""A small simulated cell with a dwell program in RAPID, on an ABB controller."""
+"""Set up a small simulated cell with a dwell program in RAPID on an ABB controller."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SPEED = 20
 
 
 def write_files(out: Path, *, version: str = "1.0", cut_s: float = 0.0, **job: Any) -> DemoFiles:
-    """The demo's files with a small part, that robot, and a program with a dwell at each point.
+    """Write the demo's files with a small part, that robot, and a program with a dwell at each point.
 
     ``cut_s``: the robot's link is cut every so often.
     """
@@ -37,7 +37,7 @@ def write_files(out: Path, *, version: str = "1.0", cut_s: float = 0.0, **job: A
 
 
 def module(config: CellConfig) -> bytes:
-    """As RAPID: over the first point, down, a dwell behind each move, up."""
+    """Return the points as RAPID: over the first point, down, a dwell after each move, up."""
     points, axes = own_path(config, POINTS_MM)
     turns = [from_wrist(float(a), float(c)) for a, c in np.stack(angles_from_axis(axes), axis=1)]
     moves = [_move(point, turn) for point, turn in zip(points, turns, strict=True)]
@@ -56,7 +56,7 @@ def _move(point: Any, turn: Any) -> str:
 
 @contextlib.contextmanager
 def dwell_cell(out: Path, *, speed: float = 4.0, **job: Any) -> Iterator[DemoFiles]:
-    """A running simulator for it."""
+    """Run the simulator of these files for the duration of the block."""
     files = write_files(out, **job)
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):

@@ -1,4 +1,4 @@
-"""A headless browser for a test: Chromium, or Firefox."""
+"""Run a headless browser for a test: Chromium or Firefox."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ each_browser = pytest.mark.parametrize("browser", BROWSERS)
 
 @contextlib.contextmanager
 def browsing(folder: Path, *options: str, browser: str = "chromium") -> Iterator[Page]:
-    """Run one for the time of the block, with these options, too; the test is skipped where it is not installed."""
+    """Run a browser with these additional options for the duration of the block; skip the test if it is missing."""
     kind = BROWSERS[browser]
     missing = [program for program in kind.NEEDED if shutil.which(program) is None]
     if missing:

@@ -1,4 +1,4 @@
-"""A page in a headless browser, as the tests use it: the same for each browser, by whatever protocol that one has."""
+"""Interface of a page in a headless browser, which each browser implements with its own protocol."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ LOCAL = ("http://127.0.0.1:", "data:", "blob:", "about:")
 
 
 class Page(ABC):
-    """Its one page."""
+    """The one page of a browser."""
 
     def __init__(self) -> None:
         self.requests: list[str] = []
-        """Each URL that was asked for."""
+        """URLs of all requests."""
         self.problems: list[str] = []
-        """Exceptions, errors on its console, alerts, breaches of the content security policy, requests to elsewhere."""
+        """Exceptions, console errors, alerts, violations of the content security policy, requests to other hosts."""
 
     @abstractmethod
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """Return the answer to a command of the browser's own protocol; what has happened so far is noted."""
+        """Return the answer to a command of the browser's protocol, and record the events that arrived before it."""
 
     @abstractmethod
     def go(self, url: str) -> None:
@@ -34,26 +34,26 @@ class Page(ABC):
 
     @abstractmethod
     def aim(self, width: int, height: int, scheme: str) -> None:
-        """Set size in CSS pixels, and the colors that the system prefers ("light", "dark"); nothing moves."""
+        """Set the size in CSS pixels and the preferred colors ("light", "dark"), with reduced motion."""
 
     @abstractmethod
     def key(self, name: str, *, shift: bool = False) -> None:
-        """Press and release a key as a person does: its name in DOM (``"ArrowUp"``, ``"+"``)."""
+        """Press and release a key, by its DOM name (``"ArrowUp"``, ``"+"``)."""
 
     @abstractmethod
     def mouse(self, what: str, x: float, y: float) -> None:
-        """``"move"`` the mouse there, or put its left button ``"down"`` or ``"up"`` there."""
+        """Move the mouse to a point (``"move"``), or press (``"down"``) or release (``"up"``) its left button there."""
 
     @abstractmethod
     def wheel(self, x: float, y: float, down: float) -> None:
-        """Turn the mouse's wheel there by so many CSS pixels."""
+        """Turn the mouse wheel at a point by a number of CSS pixels."""
 
     @abstractmethod
     def pinch(self, x: float, y: float, apart: Sequence[float]) -> None:
-        """Put two fingers on the page, each so far left and right of a place, move them to the next distances, lift."""
+        """Put two fingers on either side of a point at the first distance, move them to the others, and lift them."""
 
     def until(self, condition: str) -> None:
-        """Return once that holds on the page."""
+        """Wait until a script's condition is true on the page."""
         look = f"(() => {{ try {{ return Boolean({condition}); }} catch {{ return false; }} }})()"
         limit_ms = 1000 * SOON_S
         done = self.run(
@@ -63,7 +63,7 @@ class Page(ABC):
         assert done, f"waited in vain for {condition}; the page: {self.run('document.body.innerText')[:3000]}"
 
     def press(self, name: str) -> None:
-        """Click the element of that id, once it can be."""
+        """Wait until the element with that id is enabled, and click it."""
         self.until(f"!document.getElementById('{name}').disabled")
         self.run(f"document.getElementById('{name}').click()")
 

@@ -1,4 +1,4 @@
-"""Headless Chromium, driven by its DevTools protocol over a pipe: no library, and no port that others could use."""
+"""Drive headless Chromium with its DevTools protocol over a pipe: without a library and without an open port."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.patience import SOON_S
 from tests.system.browser_page import Page
 
 NEEDED = {"chromium": "chromium"}
-"""Programs, and Debian's packages of them."""
+"""Program names and their Debian packages."""
 OPTIONS = (
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--mute-audio",
     "--enable-unsafe-swiftshader",  # WebGL without a graphics card
@@ -28,15 +28,15 @@ KEYS = {
     "Enter": 13, "Escape": 27, "Tab": 9, "Home": 36, "End": 35, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39,
     "ArrowDown": 40, "0": 48, "+": 187, "-": 189,
 }  # fmt: skip
-"""Windows' codes."""
+"""Virtual key codes of Windows."""
 SHIFT = 8
 PHONE_PX = 800
-"""Widths below it are those of a phone."""
+"""Width in CSS pixels below which the page is that of a phone."""
 MOUSE = {"down": "mousePressed", "move": "mouseMoved", "up": "mouseReleased"}
 
 
 class Chromium(Page):
-    """See Page."""
+    """Implement the method of Page."""
 
     def __init__(self, said: int, heard: int) -> None:
         super().__init__()
@@ -48,7 +48,7 @@ class Chromium(Page):
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """See Page."""
+        """Implement the method of Page."""
         self._last += 1
         message = {"id": self._last, "method": method, "params": params}
         os.write(
@@ -61,41 +61,41 @@ class Chromium(Page):
         return dict(answer["result"])
 
     def go(self, url: str) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         self.call("Page.navigate", url=url)
 
     def run(self, script: str) -> Any:
-        """See Page."""
+        """Implement the method of Page."""
         found = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
     def aim(self, width: int, height: int, scheme: str) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < PHONE_PX}
         self.call("Emulation.setDeviceMetricsOverride", **metrics)
         wanted = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce"}
         self.call("Emulation.setEmulatedMedia", features=[{"name": k, "value": v} for k, v in wanted.items()])
 
     def key(self, name: str, *, shift: bool = False) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         text = {"text": "\r"} if name == "Enter" else {}
         code = {"key": name, "code": name, "windowsVirtualKeyCode": KEYS[name], "modifiers": SHIFT * shift}
         self.call("Input.dispatchKeyEvent", type="keyDown", **code, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", **code)
 
     def mouse(self, what: str, x: float, y: float) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         button = {"button": "left", "clickCount": 1} if self._held or what != "move" else {}
         self._held = what == "down" or (what == "move" and self._held)
         self.call("Input.dispatchMouseEvent", type=MOUSE[what], x=x, y=y, buttons=int(self._held), **button)
 
     def wheel(self, x: float, y: float, down: float) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         self.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=down)
 
     def pinch(self, x: float, y: float, apart: Sequence[float]) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         self.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
         for number, far in enumerate(apart):
             points = [{"x": x - far, "y": y, "id": 1}, {"x": x + far, "y": y, "id": 2}]
@@ -130,7 +130,7 @@ class Chromium(Page):
 
 @contextlib.contextmanager
 def browsing(folder: Path, options: Sequence[str]) -> Iterator[Chromium]:
-    """Run it for the time of the block, with these options, too."""
+    """Run Chromium with these additional options for the duration of the block."""
     its_in, said = os.pipe()
     heard, its_out = os.pipe()
     far = [fcntl.fcntl(one, fcntl.F_DUPFD, 20) for one in (its_in, its_out)]

@@ -1,4 +1,4 @@
-"""A small simulated cell with a TP program of dwells, on a FANUC controller with RMI. It runs in real time only."""
+"""Set up a small simulated cell with a TP program of dwells on a FANUC controller with RMI, in real time only."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ QUICK = {
 
 
 def write_files(out: Path, *faults: dict[str, Any], part: dict[str, float] = PART, **job: Any) -> DemoFiles:
-    """The demo's files with a small part, that robot, and a program with a dwell at each point."""
+    """Write the demo's files with a small part, that robot, and a program with a dwell at each point."""
     files = write_small(out, **job)
     take(files)
     with_part(files, part, tp_program, pv_nm=300.0, rms_nm=60.0)
@@ -46,7 +46,7 @@ def write_files(out: Path, *faults: dict[str, Any], part: dict[str, float] = PAR
 
 
 def take(files: DemoFiles) -> None:
-    """The cell's robot becomes such a controller."""
+    """Replace the cell's robot with such a controller."""
     port = free_port()
     cell = files.cell.read_text().replace('type = "robot_link"', 'type = "fanuc_rmi"')
     robot = {"address": f"tcp://127.0.0.1:{port}", **QUICK["robot"]}
@@ -57,7 +57,7 @@ def take(files: DemoFiles) -> None:
 
 
 def tp_program(config: CellConfig, points_mm: float = POINTS_MM, dwell_s: float = DWELL_S) -> bytes:
-    """A TP program: over the first point, down, a wait after each move, up."""
+    """Return the points as a TP program: over the first point, down, a wait after each move, up."""
     points, axes = own_path(config, points_mm)
     turns = [turns_of(float(a), float(c)) for a, c in np.stack(angles_from_axis(axes), axis=1)]
     above = [*points[0][:2], points[0][2] + SAFE_Z_MM], [*points[-1][:2], points[-1][2] + SAFE_Z_MM]
@@ -91,7 +91,7 @@ def _position(number: int, xyz: Sequence[float], wpr: Sequence[float]) -> list[s
 
 @contextlib.contextmanager
 def dwell_cell(out: Path, *faults: dict[str, Any], part: dict[str, float] = PART, **job: Any) -> Iterator[DemoFiles]:
-    """A running simulator for it."""
+    """Run the simulator of these files for the duration of the block."""
     files = write_files(out, *faults, part=part, **job)
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", "1"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):

@@ -1,4 +1,4 @@
-"""Firefox, driven by WebDriver BiDi over a WebSocket on loopback: no library, and no driver beside it.
+"""Drive Firefox with WebDriver BiDi over a WebSocket on loopback: without a library and without a driver process.
 
 It has no WebGL when it is headless: it runs on a virtual display.
 """
@@ -23,9 +23,9 @@ from tests.system.browser_page import Page
 from tests.system.sim_rig import wait_for
 
 NEEDED = {"firefox-esr": "firefox-esr", "Xvfb": "xvfb"}
-"""Programs, and Debian's packages of them."""
+"""Program names and their Debian packages."""
 OPTIONS = ("--no-remote", "--remote-debugging-port=0", "--remote-allow-system-access")
-"""The last one, because BiDi cannot set the colors that the system prefers; preferences can."""
+"""Options. The last one permits preferences, which set the preferred colors: BiDi cannot set those."""
 PREFERENCES: Mapping[str, bool | int | str] = {
     "ui.prefersReducedMotion": 1,
     "focusmanager.testmode": True,  # without a window manager
@@ -67,12 +67,12 @@ ENVIRONMENT = {
     "NO_AT_BRIDGE": "1", "DBUS_SESSION_BUS_ADDRESS": "disabled:",  # no other process of a desktop
 }  # fmt: skip
 DARK = {"dark": 0, "light": 1}
-"""Of the preference layout.css.prefers-color-scheme.content-override."""
+"""Values of the preference layout.css.prefers-color-scheme.content-override."""
 KEYS = {
     "Enter": "\ue007", "Escape": "\ue00c", "Tab": "\ue004", "Shift": "\ue008", "Home": "\ue011", "End": "\ue010",
     "ArrowLeft": "\ue012", "ArrowUp": "\ue013", "ArrowRight": "\ue014", "ArrowDown": "\ue015",
 }  # fmt: skip
-"""Of WebDriver; the others are their character."""
+"""Key codes of WebDriver; other keys have their character as code."""
 MOUSE = {"down": [{"type": "pointerDown", "button": 0}], "move": [], "up": [{"type": "pointerUp", "button": 0}]}
 POLICY = """() => addEventListener("securitypolicyviolation", (event) =>
   console.error("Content Security Policy:", event.effectiveDirective, event.blockedURI))"""
@@ -81,11 +81,11 @@ EVENTS = ("network.beforeRequestSent", "log.entryAdded", "browsingContext.userPr
 TEXT, CLOSE, LAST, MASKED = 0x1, 0x8, 0x80, 0x80
 TWO_BYTES, EIGHT_BYTES = 126, 127
 MASK = b"\1\2\3\4"
-"""Any but zero: masks are against proxies, and there is none."""
+"""Any mask except zero: masks protect from proxies, and there is none."""
 
 
 class WebSocket:
-    """Texts to a server on loopback, and from it (RFC 6455)."""
+    """WebSocket connection to a server on loopback, for text messages (RFC 6455)."""
 
     def __init__(self, port: int, path: str) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=2 * SOON_S)
@@ -100,7 +100,7 @@ class WebSocket:
         assert " 101 " in answer[0], answer
 
     def send(self, text: str) -> None:
-        """Send it as one frame, masked."""
+        """Send a text as one masked frame."""
         data = text.encode()
         count = len(data)
         if count < TWO_BYTES:
@@ -114,7 +114,7 @@ class WebSocket:
         self._socket.sendall(bytes([LAST | TEXT]) + length + MASK + masked)
 
     def receive(self) -> str:
-        """Return the next text."""
+        """Return the next text message."""
         text = b""
         while True:
             kind, length = self._read(2)
@@ -129,7 +129,7 @@ class WebSocket:
                 return text.decode()
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._heard.close()
         self._socket.close()
 
@@ -140,7 +140,7 @@ class WebSocket:
 
 
 class Firefox(Page):
-    """See Page."""
+    """Implement the method of Page."""
 
     def __init__(self, wire: WebSocket) -> None:
         super().__init__()
@@ -155,7 +155,7 @@ class Firefox(Page):
         self.until("document.hasFocus()")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """See Page."""
+        """Implement the method of Page."""
         self._last += 1
         self._wire.send(json.dumps({"id": self._last, "method": method, "params": params}))
         while (answer := json.loads(self._wire.receive())).get("id") != self._last:
@@ -164,15 +164,15 @@ class Firefox(Page):
         return dict(answer["result"])
 
     def go(self, url: str) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         self.call("browsingContext.navigate", context=self._page, url=url, wait="interactive")
 
     def run(self, script: str) -> Any:
-        """See Page."""
+        """Implement the method of Page."""
         return self._run(script, self._page)
 
     def aim(self, width: int, height: int, scheme: str) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         viewport = {"width": width, "height": height}
         self.call("browsingContext.setViewport", context=self._page, viewport=viewport, devicePixelRatio=1)
         name = "layout.css.prefers-color-scheme.content-override"
@@ -180,7 +180,7 @@ class Firefox(Page):
         self.until(f"innerWidth === {width} && matchMedia('(prefers-color-scheme: {scheme})').matches")
 
     def key(self, name: str, *, shift: bool = False) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         names = [*(["Shift"] if shift else []), name]
         codes = [KEYS.get(one, one) for one in names]
         down = [{"type": "keyDown", "value": one} for one in codes]
@@ -188,17 +188,17 @@ class Firefox(Page):
         self._act({"type": "key", "id": "keys", "actions": [*down, *up]})
 
     def mouse(self, what: str, x: float, y: float) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         actions = [_to(x, y), *MOUSE[what]]
         self._act({"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": actions})
 
     def wheel(self, x: float, y: float, down: float) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         turn = {"type": "scroll", "x": round(x), "y": round(y), "deltaX": 0, "deltaY": round(down)}
         self._act({"type": "wheel", "id": "wheel", "actions": [turn]})
 
     def pinch(self, x: float, y: float, apart: Sequence[float]) -> None:
-        """See Page."""
+        """Implement the method of Page."""
         down, up = {"type": "pointerDown", "button": 0}, {"type": "pointerUp", "button": 0}
         fingers = []
         for side in (-1, 1):
@@ -236,7 +236,7 @@ def _to(x: float, y: float) -> dict[str, Any]:
 
 
 def _value(remote: Mapping[str, Any]) -> Any:
-    """Of a value as BiDi writes it; None for what JSON does not have."""
+    """Return the value of a BiDi result; None for types that JSON does not have."""
     value = remote.get("value")
     match remote["type"]:
         case "number":
@@ -252,7 +252,7 @@ def _value(remote: Mapping[str, Any]) -> Any:
 
 
 class Outside(socketserver.ThreadingTCPServer):
-    """A proxy that refuses everything, and notes what was asked of it: all that is not for loopback."""
+    """Proxy that refuses and records every request: those to other hosts than loopback."""
 
     daemon_threads = True
     heard: list[str]
@@ -262,13 +262,13 @@ class _Refusal(socketserver.StreamRequestHandler):
     server: Outside
 
     def handle(self) -> None:
-        """Note the request's first line."""
+        """Record the first line of a request."""
         self.server.heard.append(self.rfile.readline(1000).decode(errors="replace").strip())
 
 
 @contextlib.contextmanager
 def outside() -> Iterator[Outside]:
-    """Serve it for the time of the block."""
+    """Run the proxy for the duration of the block."""
     with Outside(("127.0.0.1", 0), _Refusal) as server:
         server.heard = []
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
@@ -287,7 +287,7 @@ def _port(said: Path) -> int:
 
 @contextlib.contextmanager
 def display() -> Iterator[str]:
-    """Name of a virtual display for the time of the block."""
+    """Run a virtual display for the duration of the block; its name."""
     command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1600x1200x24", "-nolisten", "tcp", "-noreset"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
@@ -302,7 +302,7 @@ def display() -> Iterator[str]:
 
 @contextlib.contextmanager
 def browsing(folder: Path, options: Sequence[str]) -> Iterator[Firefox]:
-    """Run it for the time of the block, with these options, too; a request of the browser itself is a problem."""
+    """Run Firefox with these additional options for the block. Requests of the browser itself count as problems."""
     profile, said = folder / "profile", folder / "said.txt"
     profile.mkdir(parents=True)
     with outside() as proxy, display() as screen, said.open("wb") as log:

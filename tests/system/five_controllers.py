@@ -1,6 +1,6 @@
-"""One cycle on five controllers, each with the time that it takes beyond what is written: what came of it.
+"""Compare two passes on five controllers, each of which takes additional time per point.
 
-``python -m tests.system.five_controllers`` puts what the tests saved into docs/reference/results.md.
+``python -m tests.system.five_controllers`` writes the results that the tests saved to docs/reference/results.md.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from tests.system.test_daemon import require_safe_order
 
 PART = {"aperture_mm": 20.0}
 FINE, ROUGH = {"pv_nm": 100.0, "rms_nm": 18.0}, {"pv_nm": 500.0, "rms_nm": 100.0}
-"""Surfaces. Where dwells are multiples of a cycle, or points cost much, they are to be long beside that."""
+"""Surfaces. The rough one needs long dwells: for controllers with long cycles or much time per point."""
 TWO_PASSES = {"tolerance_nm": 0.01, "max_cycles": 2}
 CALM = {"max_spot_change": 0.99, "max_rate_drift": 0.99}
-"""So small a part tells little of its spot."""
+"""Limits for a small part, whose maps determine the spot poorly."""
 MAX_FEED_MM_S = 14.0
-"""sqrt(a L) / 2 with a = 800 mm/s2 and blocks of L = 1 mm: faster no LinuxCNC delivers those with rotary words."""
+"""sqrt(a L) / 2 with a = 800 mm/s2 and blocks of L = 1 mm: the most that LinuxCNC reaches with rotary axes."""
 SPEED = 8.0
 Kind = Literal["link", "linuxcnc", "opcua", "ads", "universal_robots"]
 Encoding = Literal["feed", "dwell"]
@@ -45,18 +45,18 @@ PROGRAMS: dict[Encoding, Callable[..., bytes]] = {"feed": demo_program, "dwell":
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """One of the five."""
+    """Controller of the comparison."""
 
     name: str
     kind: Kind
     encoding: Encoding
     beyond_s: float | None
-    """What each point costs beyond what is written; None: a real one, with its own."""
+    """Additional time per point; None for a real controller, where it is unknown."""
     corner_deg: float = 30.0
-    """Change of direction beyond which it stops between two blocks."""
+    """Change of direction above which the robot stops between two blocks."""
     speed: float = SPEED
     rough: bool = False
-    """Of the surface."""
+    """Whether the part has the rough surface."""
 
 
 FIVE = (
@@ -67,38 +67,38 @@ FIVE = (
     Controller("Universal Robots", "universal_robots", "dwell", 0.02, speed=4.0, rough=True),
 )
 SLOW_PLC = Controller("PLC robot, OPC UA, slow", "opcua", "feed", 0.29, rough=True)
-"""Its points cost more than most dwells are long: what the floor removes is most of what is removed."""
+"""Controller whose additional time is longer than most dwells: it causes most of the removal."""
 
 
 def link_like(controller: Controller) -> Controller:
-    """A robot link with the same program, whose blocks cost as much; a real controller's cost some tenths of a ms."""
+    """Return a robot link with the same encoding and additional time; without one for a real controller."""
     return Controller("robot link", "link", controller.encoding, controller.beyond_s or 0.0, rough=controller.rough)
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What two passes came to."""
+    """Results of two passes."""
 
     name: str
     encoding: Encoding
     blocks: int
-    """That take time, in contact."""
+    """Number of blocks in contact that take time."""
     beyond_ms: float
-    """What a block cost beyond what it was asked for and its motion takes, as learned in the first pass."""
+    """Additional time per block, as estimated from the first pass."""
     missed: tuple[float, float]
-    """Relative, of each pass: what it took less what was predicted."""
+    """Relative difference of measured and predicted time, of each pass."""
     unaccounted: tuple[float, float]
-    """Relative, of each pass: what the driver told less what the plant saw."""
+    """Relative difference of the driver's and the plant's contact time, of each pass."""
     rms_nm: tuple[float, float, float]
-    """Before, after one pass, after two."""
+    """RMS before, after one pass and after two."""
     certified_nm: tuple[float, float]
-    """What the certificates of both passes say will be left."""
+    """Residual RMS that the optimality certificates of both passes predict."""
     link_rms_nm: float | None = None
-    """What a robot link leaves that costs as much; None where nobody asked."""
+    """RMS that a robot link with the same additional time leaves; None where it was not measured."""
 
 
 def write_files(out: Path, controller: Controller) -> DemoFiles:
-    """The demo's cell with a small part, that robot and its program."""
+    """Write the demo's cell with a small part, that controller and its program."""
     files = write_small(out, **TWO_PASSES)
     program = PROGRAMS[controller.encoding]
     if controller.kind == "linuxcnc":
@@ -127,7 +127,7 @@ def write_files(out: Path, controller: Controller) -> DemoFiles:
 
 @contextlib.contextmanager
 def running(files: DemoFiles, controller: Controller) -> Iterator[Callable[[], Daemon]]:
-    """Its simulator; starts a daemon."""
+    """Run the simulator for the duration of the block; the value starts a daemon."""
     if controller.kind == "linuxcnc":
         with linuxcnc_rig.linuxcnc_cell(files) as cell:
             yield cell.daemon
@@ -138,7 +138,7 @@ def running(files: DemoFiles, controller: Controller) -> Iterator[Callable[[], D
 
 
 def polish(out: Path, controller: Controller) -> Figures:
-    """Two passes, whatever they reach."""
+    """Polish two passes and return their results."""
     files = write_files(out, controller)
     with running(files, controller) as started:
         with started() as daemon:
@@ -150,12 +150,12 @@ def polish(out: Path, controller: Controller) -> Figures:
 
 
 def figures(files: DemoFiles, controller: Controller, true_s: Sequence[np.ndarray[Any, Any]]) -> Figures:
-    """Of two passes, from the run folder and the plant's own account of contact."""
-    predicted, told = [], []
+    """Return the results of two passes from the run folder and the plant's record of contact."""
+    predicted, reported_s = [], []
     for cycle in (0, 1):
         folder = files.run_dir / f"cycle-{cycle:02d}"
         rows = np.genfromtxt(folder / "executed.csv", delimiter=",", names=True)
-        told.append(float(np.sum((rows["end_s"] - rows["start_s"]) * (rows["contact"] == 1))))
+        reported_s.append(float(np.sum((rows["end_s"] - rows["start_s"]) * (rows["contact"] == 1))))
         with np.load(folder / "plan.npz") as plan:
             predicted.append(float(plan["expected_s"].sum()))
             blocks = len(plan["expected_s"])
@@ -166,8 +166,8 @@ def figures(files: DemoFiles, controller: Controller, true_s: Sequence[np.ndarra
         controller.encoding,
         blocks,
         learned["beliefs"]["block_overhead_s"] * 1e3,
-        (told[0] / predicted[0] - 1.0, told[1] / predicted[1] - 1.0),
-        (told[0] / float(true_s[0].sum()) - 1.0, told[1] / float(true_s[1].sum()) - 1.0),
+        (reported_s[0] / predicted[0] - 1.0, reported_s[1] / predicted[1] - 1.0),
+        (reported_s[0] / float(true_s[0].sum()) - 1.0, reported_s[1] / float(true_s[1].sum()) - 1.0),
         (first["rms_nm"], second["rms_nm"], last["rms_nm"]),
         (first["predicted_rms_nm"], second["predicted_rms_nm"]),
     )
@@ -184,14 +184,14 @@ HEADER = """\
 
 
 def save(found: Figures) -> None:
-    """For the table."""
+    """Save the results for the table."""
     SAVED.mkdir(parents=True, exist_ok=True)
     name = found.name.lower().replace(",", "").replace(" ", "-")
     (SAVED / f"{name}.json").write_text(json.dumps(asdict(found), indent=1))
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """A row a controller, in the order of ``FIVE``."""
+    """Return the table with a row for each controller, in the order of ``FIVE``."""
     names = [controller.name for controller in (*FIVE, SLOW_PLC)]
     lines = []
     for row in sorted(rows, key=lambda row: names.index(row["name"])):
@@ -207,13 +207,13 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def rows_of(page: str) -> list[list[str]]:
-    """The cells of the table in the page."""
+    """Return the cells of the table in the page."""
     written = page.partition(BEGIN)[2].partition(END)[0].removeprefix(HEADER)
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in written.splitlines()]
 
 
 def write_page() -> None:
-    """Put the table of what was saved into docs/reference/results.md. SystemExit where nothing was."""
+    """Write the table of the saved results to docs/reference/results.md. SystemExit where there are none."""
     rows = [json.loads(path.read_text()) for path in SAVED.glob("*.json")]
     if not rows:
         sys.exit(f"nothing was measured: no files in {SAVED}, and the page stays as it is. Run its tests first.")

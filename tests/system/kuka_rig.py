@@ -1,4 +1,4 @@
-"""A small simulated cell with a dwell program, on a KUKA controller."""
+"""Set up a small simulated cell with a dwell program on a KUKA controller."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SAFE_Z_MM = 20.0
 def write_files(
     out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, part: Mapping[str, float] = PART, **job: Any
 ) -> DemoFiles:
-    """The demo's files with a small part, that robot, and a program with a dwell at each point.
+    """Write the demo's files with a small part, that robot, and a program with a dwell at each point.
 
     ``cut_s``: the robot's link is cut after so long in contact.
     """
@@ -39,7 +39,7 @@ def write_files(
 
 
 def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0) -> None:
-    """The cell's robot becomes such a controller."""
+    """Replace the cell's robot with such a controller."""
     keys = {
         "type": "kuka_kvp",
         "address": f"tcp://127.0.0.1:{free_port()}",
@@ -57,7 +57,7 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0) -> N
 
 
 def module(config: CellConfig) -> bytes:
-    """As KRL: over the first point, down, a wait behind each move, up."""
+    """Return the points as KRL: over the first point, down, a wait after each move, up."""
     points, axes = own_path(config, POINTS_MM)
     turns = [to_abc(from_wrist(float(a), float(c))) for a, c in np.stack(angles_from_axis(axes), axis=1)]
     moves = [_lin(point, turn) for point, turn in zip(points, turns, strict=True)]
@@ -77,7 +77,7 @@ def _lin(point: Any, turn: Any) -> bytes:
 
 @contextlib.contextmanager
 def dwell_cell(out: Path, *, speed: float = 4.0, **job: Any) -> Iterator[DemoFiles]:
-    """A running simulator for it."""
+    """Run the simulator of these files for the duration of the block."""
     files = write_files(out, **job)
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):

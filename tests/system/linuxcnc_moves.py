@@ -22,18 +22,18 @@ START, CORNER, DWELL, END = 3, 7, 8, 10
 BLOCKS = [b"G21 G90 G94 G61", b"G0 X0 Y0 Z50 A-10 C20", b"(land)"]
 BLOCKS += [b"G1 X%d A%d C%d F300" % (x, -10 - x, 20 + 2 * x) for x in (2, 4, 6, 8)]
 BLOCKS += [b"G91 G1 Y4 C2 F1200", b"G4 P2", b"G1 Y1", b"G90 G1 X0", b"M2"]
-"""All five axes at once. The first moves and the dwell are so long that they are not over before a hold comes."""
+"""Moves of all five axes. The first moves and the dwell take longer than the hold takes to arrive."""
 
 
 async def until(robot: Robot, executed: int) -> None:
-    """So many blocks are executed."""
+    """Wait until the robot has executed that number of blocks."""
     async for one in robot.executed():
         if one.seq >= executed - 1:
             return
 
 
 async def main(port: int, folder: Path) -> dict[str, Any]:
-    """Stop, go on, hold in motion and in a dwell, abort, be refused."""
+    """Stop, resume, hold in motion and in a dwell, abort, and send a command that is refused; return the results."""
     robot = LinuxCnc(Tcp("127.0.0.1", port), folder, controller_dir="/mnt/nc")
     said: dict[str, Any] = {}
     await robot.open()

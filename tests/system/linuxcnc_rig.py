@@ -1,4 +1,4 @@
-"""A small simulated cell whose robot is a real LinuxCNC, all of it in one network of its own."""
+"""Set up a small simulated cell whose robot is a real LinuxCNC, in a private network namespace."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.system.sim_rig import ROOT, alive, wait_for
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""
 ON_RING = {"points_mm": [[0.0, 5.0], [-4.3, -2.5], [4.3, -2.5]]}
-"""The part's own rim is narrower than the tool's contact."""
+"""Points for the touch-off: the rim of the part is narrower than the tool's contact."""
 DWELL_PITCH_MM = 1.75
 Turns = Literal["tool", "table"]
 TABLE = """extends = "rs274"
@@ -41,14 +41,14 @@ rotary = ["AC"]
 """The dialect of a machine whose A tilts a table and C turns it."""
 RAPID_MM_MIN = 3000.0
 LATE = {"limits": {"excess_nm": 50.0}}
-"""On a busy machine a real controller is late by tenths of a second: tests of something else do not end by it."""
+"""Limit for tests that do not check time: on a busy machine a real controller is late by tenths of a second."""
 QUICK_S = 2.5
-"""An actuator that lifts within a dwell, and a gate that outlasts that."""
+"""Watchdog time of the robot: longer than the actuator takes to lift the tool."""
 APART = (
     *("unshare", "--map-root-user", "--net", "sh", "-c"),
     *('ip link set lo up && exec setpriv --pdeathsig TERM "$@"', "sh"),
 )
-"""Run a command in a network that has nothing but loopback; it ends with whoever started it."""
+"""Prefix that runs a command in a network with loopback only; the command ends with its parent process."""
 TOOLS = {"linuxcnc": "linuxcnc-uspace", "ip": "iproute2", "unshare": "util-linux", "nsenter": "util-linux"}
 """Programs that the rig needs, and the packages that they come from."""
 
@@ -64,7 +64,7 @@ def require_linuxcnc() -> None:
 
 
 class Cell:
-    """The running simulator, and how to get at its network."""
+    """Running simulator with commands that enter its network."""
 
     def __init__(self, files: DemoFiles, process: subprocess.Popen[str]) -> None:
         self.files = files
@@ -76,11 +76,11 @@ class Cell:
         return ["nsenter", "--preserve-credentials", "--user", "--net", "-t", str(self.process.pid)]
 
     def daemon(self) -> Daemon:
-        """``polishd run``."""
+        """Start ``polishd run`` in the cell's network."""
         return _Daemon(self)
 
     def moves(self) -> dict[str, Any]:
-        """What ``linuxcnc_moves`` tells."""
+        """Run ``linuxcnc_moves`` and return its results."""
         programs = str(self.files.sim_dir / "linuxcnc" / "nc")
         command = [*self.inside, sys.executable, "-m", "tests.system.linuxcnc_moves", str(_port(self.files)), programs]
         done = subprocess.run(command, capture_output=True, text=True, timeout=SOON_S, cwd=ROOT, check=False)
@@ -88,7 +88,7 @@ class Cell:
         return dict(json.loads(done.stdout))
 
     def linuxcncrsh(self, *lines: str) -> list[str]:
-        """Say hello, then these ``get NAME``; all that it answers, up to the line that begins with the last name."""
+        """Log in, send these ``get NAME`` and return the answers, up to the line that begins with the last name."""
         talk = (
             "import socket,sys\n"
             "s=socket.create_connection(('127.0.0.1',int(sys.argv[1])))\n"
@@ -112,7 +112,7 @@ class _Daemon(Daemon):
 
 
 def write_files(out: Path, *, turns: Turns = "tool", touch_off: bool = False, **job: Any) -> DemoFiles:
-    """The demo's files with a tiny part, LinuxCNC for a robot, and a program of dwells."""
+    """Write the demo's files with a tiny part, LinuxCNC as the robot, and a program of dwells."""
     files = write_small(out, patient=False, touch_off=touch_off, **job)
     take(files, turns)
     files.cell.write_text(with_keys(files.cell.read_text(), LATE))
@@ -123,7 +123,7 @@ def write_files(out: Path, *, turns: Turns = "tool", touch_off: bool = False, **
 
 
 def take(files: DemoFiles, turns: Turns = "tool") -> None:
-    """The cell's robot becomes LinuxCNC, with an actuator that is as quick as real time wants it in a test."""
+    """Replace the cell's robot with LinuxCNC and use a quick actuator, because LinuxCNC runs in real time only."""
     (files.out / "table.toml").write_text(TABLE)
     robot = 'type = "linuxcnc"\nprogram_dir = "sim/linuxcnc/nc"\ncontroller_dir = "/mnt/nc"'
     cell = files.cell.read_text().replace('type = "robot_link"', robot)
@@ -142,7 +142,7 @@ def take(files: DemoFiles, turns: Turns = "tool") -> None:
 
 
 def dwell_program(config: CellConfig) -> bytes:
-    """A coarse raster with a dwell at each point, for whichever of tool and table is turned."""
+    """Return a coarse raster with a dwell at each point, for the cell's dialect: the tool turns or the table."""
     points = raster(over_outline(config.outline()), DWELL_PITCH_MM, DWELL_PITCH_MM)
     axes = tool_axes(points, config.optic(), config.process.dip_deg, config.compliance_options(), config.placement())
     to = dialect(next(iter(config.dialect_paths), config.program.format))
@@ -152,7 +152,7 @@ def dwell_program(config: CellConfig) -> bytes:
 
 @contextlib.contextmanager
 def linuxcnc_cell(files: DemoFiles) -> Iterator[Cell]:
-    """The simulator with LinuxCNC, up, on and homed, for the time of the block."""
+    """Run the simulator with LinuxCNC, switched on and homed, for the duration of the block."""
     require_linuxcnc()
     command = [*APART, sys.executable, "-m", "polishd.sim_backends", str(files.sim), "--state", str(files.sim_dir)]
     with (files.out / "sim.stderr").open("wb") as stderr:

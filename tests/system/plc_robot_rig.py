@@ -1,4 +1,4 @@
-"""A small simulated cell whose robot's controller loads files."""
+"""Set up a small simulated cell whose robot controller loads program files."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from tests.system.cell_rig import PATIENT, with_keys, with_part, without, write_
 Kind = Literal["opcua", "ads", "modbus"]
 PROFILES: dict[Kind, str] = {"opcua": "plc-opcua", "ads": "plc-ads", "modbus": "plc-modbus"}
 TRUTH = {"overhead_s": 0.03, "overhead_spread": 0.5}
-"""What a block costs that controller: nobody planned it before the first pass."""
+"""Additional time per block of that controller, which the plan of the first pass does not know."""
 PIT = {"max_stall_removal_nm": 60.0}
-"""What a feed hold may dig until an actuator of 0.2 s has let go."""
+"""Permitted removal during a feed hold until an actuator with 0.2 s has taken the force off."""
 
 
 def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFiles:
-    """The demo's files with a small part and such a controller."""
+    """Write the demo's files with a small part and such a controller."""
     files = write_small(out, **job)
     hand_over(files, kind)
     files.sim.write_text(with_keys(files.sim.read_text(), {"hidden_truth": TRUTH}))
@@ -35,7 +35,7 @@ def write_files(out: Path, kind: Kind, aperture_mm: float, **job: Any) -> DemoFi
 
 
 def hand_over(files: DemoFiles, kind: Kind) -> None:
-    """The cell's robot becomes such a controller, with a profile of its own that is patient with a busy machine."""
+    """Replace the cell's robot with such a controller, whose profile has time limits for a busy machine."""
     shipped = (CONTROLLER_PROFILE_DIR / f"{PROFILES[kind]}.toml").read_text()
     (files.out / "controller.toml").write_text(
         shipped.replace("watchdog_s = 8.0", "watchdog_s = 20.0\nsilence_s = 6.0")
@@ -61,7 +61,7 @@ def hand_over(files: DemoFiles, kind: Kind) -> None:
 
 @contextlib.contextmanager
 def running(files: DemoFiles, speed: float) -> Iterator[DemoFiles]:
-    """The simulator of those files."""
+    """Run the simulator of these files for the duration of the block."""
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
@@ -72,11 +72,11 @@ LANGUAGES = {"inform": "yaskawa-inform", "val3": "staubli-val3", "inform over hs
 
 
 TIMES, HSES_TIMES = "report_ms = 20.0\nlink_ms = 20.0", "report_ms = 20.0\nlink_ms = 150.0"
-"""Without a clock of the controller, a reading that a busy machine delays is a delay of the robot."""
+"""Time tolerances: where the controller has no clock, a delayed reading looks like a delay of the robot."""
 
 
 def write_language_cell(out: Path, language: str, encoding: EncodingOption, **job: Any) -> DemoFiles:
-    """The demo's files with a small part, and a program in that language on its controller."""
+    """Write the demo's files with a small part and a program in that language on its controller."""
     files = write_files(out, "opcua", 14.0, **job)
     files.sim.write_text(with_keys(files.sim.read_text(), {"plant": {"pv_nm": 500.0, "rms_nm": 100.0}}))
     profile = (CONTROLLER_PROFILE_DIR / f"{LANGUAGES[language]}.toml").read_text()
@@ -104,7 +104,7 @@ def write_language_cell(out: Path, language: str, encoding: EncodingOption, **jo
 
 
 def language_program(config: CellConfig, encoding: EncodingOption) -> bytes:
-    """A raster in the language of the cell."""
+    """Return a raster program in the language of the cell."""
     dwell_s = 0.1 if encoding == "dwell" else None
     options = MakeOptions(
         "raster", config.program_path, encoding=encoding, dwell_s=dwell_s, feed_mm_min=300.0, step_mm=1.0, pitch_mm=1.0

@@ -1,4 +1,4 @@
-"""A shop and its cells as processes: whoever is killed is started again as systemd does."""
+"""Run a shop and its cells as processes. A caller restarts a process that it killed, as systemd does."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EVERY_S = 0.3
 
 
 def polishd(*words: object) -> str:
-    """The command line; what it said."""
+    """Run a command of polishd and return its output. AssertionError where it fails."""
     command = [sys.executable, "-m", "polishd", *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
@@ -32,42 +32,42 @@ def polishd(*words: object) -> str:
 
 
 class Process:
-    """A verb of polishd that runs until it is ended, and its log."""
+    """Process of a polishd command that runs until it is ended, with its log."""
 
     def __init__(self, log: Path, *words: object) -> None:
         self.log, self._words = log, [sys.executable, "-m", "polishd", *map(str, words)]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Again, perhaps."""
+        """Start the process, or start it again."""
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(self._words, stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=ROOT)
 
     @property
     def up(self) -> bool:
-        """It runs."""
+        """Whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """Exit code; None while the process runs."""
         return None if self._process is None else self._process.poll()
 
     def kill(self) -> None:
-        """As the kernel does that is out of memory; also what has ended already."""
+        """Kill the process, as the kernel does when memory is short. The process may have ended already."""
         if self._process is not None:
             self._process.kill()
             self._process.wait(SOON_S)
 
     def end(self) -> int:
-        """As systemd does; its exit code."""
+        """Send SIGTERM, as systemd does, and return the exit code."""
         assert self._process is not None
         self._process.send_signal(signal.SIGTERM)
         return self._process.wait(SOON_S)
 
 
 class Shop:
-    """Its file, its database, its server."""
+    """Shop with its configuration file, database and server."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -77,15 +77,15 @@ class Shop:
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """URL of the server."""
         return f"http://127.0.0.1:{self.port}"
 
     def token(self, cell: str) -> str:
-        """A new one for that cell."""
+        """Create a token for that cell and return it."""
         return polishd("shop", "serve", self.file, "--add-cell", cell).strip()
 
     def add(self, jobs: Sequence[tuple[str, str]], tolerance_nm: float = 5.0, cycles: int = 3) -> None:
-        """Jobs with their parts."""
+        """Add jobs; each is a pair of job name and part."""
         paths = [self.folder / f"{name}.toml" for name, _ in jobs]
         for path, (name, part) in zip(paths, jobs, strict=True):
             job = f'[job]\nid = "{name}"\ntolerance_nm = {tolerance_nm}\nmax_cycles = {cycles}\n'
@@ -93,18 +93,18 @@ class Shop:
         polishd("shop", "add", self.file, *paths)
 
     def rows(self, sql: str) -> list[tuple[Any, ...]]:
-        """Of its database, read beside its server."""
+        """Return the rows of a query to the database while the server runs."""
         path = self.folder / "state" / "shop.sqlite"
         with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30.0)) as database:
             return database.execute(sql).fetchall()
 
     def states(self) -> dict[str, str]:
-        """Of its parts."""
+        """Return the state of each job's part."""
         return dict(self.rows("SELECT job, state FROM part ORDER BY id"))
 
 
 class ShopCell:
-    """A simulated cell with a loader, its daemon, and its link."""
+    """Simulated cell with a loader, the process of its daemon and that of its link to the shop."""
 
     def __init__(self, name: str, files: DemoFiles) -> None:
         self.name, self.files = name, files
@@ -112,32 +112,32 @@ class ShopCell:
         self.link = Process(files.out / "link.log", "shop", "connect", files.cell)
 
     def status(self) -> dict[str, Any]:
-        """What the daemon says; empty where none answers."""
+        """Return the daemon's answer to ``status``; empty where none answers."""
         try:
             return client.request(self.files.state_dir, "status", 5.0)
         except PolishdError:
             return {}
 
     def resume(self) -> None:
-        """A person says that it may go on; it may be gone meanwhile."""
+        """Send ``resume``, as an operator does. The daemon may end before it answers."""
         with contextlib.suppress(PolishdError):
             client.request(self.files.state_dir, "resume", 60.0, {"by": "the campaign"})
 
     def put_aside(self, job: str) -> None:
-        """A person gives a job up over which the cell is held."""
+        """Remove the job over which the cell is held, as an operator does."""
         with contextlib.suppress(PolishdError):
             args = {"job": job, "reason": "it does not go on", "by": "the campaign"}
             client.request(self.files.state_dir, "queue_remove", 60.0, args)
 
     def rows(self, sql: str) -> list[tuple[Any, ...]]:
-        """Of its journal."""
+        """Return the rows of a query to the cell's journal."""
         path = self.files.state_dir / "journal.sqlite"
         with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30.0)) as journal:
             return journal.execute(sql).fetchall()
 
 
 def write_shop_cell(out: Path, name: str, shop: Shop) -> DemoFiles:
-    """The small cell's files, with a loader, and a token of the shop."""
+    """Write the small cell's files with a loader and a token of the shop."""
     files = write_small(out)
     port = free_port()
     cell = files.cell.read_text()
@@ -152,7 +152,7 @@ def write_shop_cell(out: Path, name: str, shop: Shop) -> DemoFiles:
 
 @contextlib.contextmanager
 def shop_cell(out: Path, name: str, shop: Shop, seed: int = 1, speed: float = 40.0) -> Iterator[ShopCell]:
-    """Its simulator runs inside this block; daemon and link are the caller's to start."""
+    """Run the cell's simulator for the duration of the block; the caller starts daemon and link."""
     files = write_shop_cell(out, name, shop)
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
@@ -165,7 +165,7 @@ def shop_cell(out: Path, name: str, shop: Shop, seed: int = 1, speed: float = 40
 
 
 def wait_attended(cells: Sequence[ShopCell], condition: Callable[[], Any], what: str) -> Any:
-    """The condition's first true value; meanwhile a person says of each cell that is held that it may go on."""
+    """Wait until the condition is true and return its value; meanwhile resume each cell that is held."""
 
     def looked() -> Any:
         for cell in cells:
@@ -177,10 +177,10 @@ def wait_attended(cells: Sequence[ShopCell], condition: Callable[[], Any], what:
 
 
 def over(shop: Shop) -> bool:
-    """All its parts have ended."""
+    """Return whether all parts of the shop have ended."""
     return set(shop.states().values()) <= {"done", "aside"}
 
 
 def parts_of(shop: Shop) -> list[dict[str, Any]]:
-    """``polishd shop list``."""
+    """Return the output of ``polishd shop list``."""
     return list(json.loads(polishd("shop", "list", shop.file, "--json"))["parts"])

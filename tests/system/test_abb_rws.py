@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 ONE_PASS = {"tolerance_nm": 0.01, "max_cycles": 1}
 EARLY = 40
 WITNESS = {"aperture_mm": 30.0, "edge_mm": 1.0}
-"""Wide enough for the tracks of a first touch."""
+"""Part that is wide enough for the tracks of a first touch."""
 
 
 def polishd(files: DemoFiles, *arguments: str) -> str:

@@ -1,4 +1,4 @@
-"""Streaming over bad wires, judged by the motion of the robot itself and not by anybody's word."""
+"""Streaming over bad wires, checked with the robot's motion, not with its reports."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LOOKAHEAD_S = 1.5
 
 
 def zigzag(blocks: int, step_mm: float, feed_mm_min: float, approach: int = 0) -> Plan:
-    """Moves along x, there and back, each of its own length: which block it is can be told from where it runs."""
+    """Return a plan of moves to and fro along x with different lengths: the position identifies the block."""
     x = np.cumsum(np.where(np.arange(blocks) // 100 % 2, -step_mm, step_mm) * (1 + np.arange(blocks) % 7 / 50))
     lines = [f"G1 X{at:.4f} F{feed_mm_min:g}".encode() for at in x]
     lines[0] = b"G21 G90 G94 Y0 Z5 A15 C0 " + lines[0].replace(b"G1", b"G0")
@@ -38,7 +38,7 @@ def zigzag(blocks: int, step_mm: float, feed_mm_min: float, approach: int = 0) -
 
 
 def require_executed_once_and_in_order(witness: Witness, plan: Plan) -> None:
-    """The tool has run along each block once, from its beginning to its end, and along nothing else."""
+    """Require that the tool moved along each block once, from start to end, and nowhere else."""
     moved, ends = witness.moved, [float(segment.text.split(b"X")[1].split()[0]) for segment in plan.segments]
     seq = moved[:, SEQ].astype(int)
     assert np.all(np.diff(seq) >= 0), "in order"
@@ -58,7 +58,7 @@ async def send_on(robot: RobotLink, plan: Plan) -> None:
 
 
 async def keep_running(robot: RobotLink, plan: Plan) -> None:
-    """RESUME wherever it stands with enough before it."""
+    """Resume motion wherever the robot is held with enough blocks ahead."""
     while (progress := await robot.progress()).state != "done":
         enough = min(len(plan.segments), progress.executed + 2 * CHUNK)
         if progress.state == "held" and progress.accepted >= enough:
@@ -72,7 +72,7 @@ async def follow(robot: RobotLink, seen: list[ExecutedBlock]) -> None:
 
 
 async def carry_through(robot: RobotLink, plan: Plan) -> list[ExecutedBlock]:
-    """Open again after each loss of the link, and go on from what the robot says it has; all that was executed."""
+    """Run the plan; reconnect after each loss of the link and continue from the robot's state. Return the blocks."""
     seen: list[ExecutedBlock] = []
     lost = 0
     while len(seen) < len(plan.segments):
@@ -131,7 +131,7 @@ async def test_each_block_is_executed_once_and_in_order(
 
 
 async def pester(port: int, end: asyncio.Event) -> int:
-    """Connects again and again, as what it may not be, says what it may not say, takes nothing and hangs up."""
+    """Connect repeatedly in a wrong role, send forbidden frames, read nothing and disconnect."""
     visits = 0
     while not end.is_set():
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -170,7 +170,7 @@ async def test_monitors_that_come_and_go_do_not_disturb_the_job(tmp_path: Path) 
 @pytest.mark.full
 @pytest.mark.parametrize("blocks", [300, pytest.param(1500, marks=pytest.mark.slow)])
 async def test_a_robot_of_50_blocks_a_second_does_not_starve_when_the_link_stalls(tmp_path: Path, blocks: int) -> None:
-    """A second of silence in every two, and the daemon's own stream with 1.5 s of look-ahead."""
+    """The link is silent for one second in two, and the daemon streams with 1.5 s of look-ahead."""
     plan = zigzag(blocks, 0.15, 600.0, approach=3)
     async with witnessed_robot(tmp_path, speed=1.0, watchdog_s=4.0) as witness, wire(witness.port) as bad:
         robot = RobotLink(Tcp("127.0.0.1", bad.port))
@@ -201,7 +201,7 @@ async def test_a_robot_of_50_blocks_a_second_does_not_starve_when_the_link_stall
 
 
 class Wall:
-    """The clock on the wall."""
+    """Return the wall time."""
 
     now_s = staticmethod(time.monotonic)
     sleep = staticmethod(asyncio.sleep)

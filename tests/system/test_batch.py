@@ -19,7 +19,7 @@ Answers = list[tuple[dict[str, Any], dict[str, FloatArray]]]
 
 
 def asked(*requests: tuple[dict[str, Any], dict[str, FloatArray]], tail: bytes = b"") -> tuple[int, Answers]:
-    """The exit code and the answers of a fresh process."""
+    """Run the requests in a new process and return its exit code and answers."""
     sent = io.BytesIO()
     for message, arrays in requests:
         array_stream.write(sent, message, arrays)
@@ -31,14 +31,14 @@ def asked(*requests: tuple[dict[str, Any], dict[str, FloatArray]], tail: bytes =
         check=False,
     )
     assert ended.stderr == b""
-    heard, answers = io.BytesIO(ended.stdout), []
-    while (answer := array_stream.read(heard)) is not None:
+    output, answers = io.BytesIO(ended.stdout), []
+    while (answer := array_stream.read(output)) is not None:
         answers.append(answer)
     return ended.returncode, answers
 
 
 def line() -> dict[str, FloatArray]:
-    """Twenty blocks of 1 mm."""
+    """Return twenty blocks of 1 mm."""
     x = np.arange(-10.0, 10.0)
     zero = np.zeros(20)
     return {

@@ -1,4 +1,4 @@
-"""Robot and actuator fall silent with their links open, in contact: the daemon ends all the same, and says so."""
+"""Robot and actuator stop answering in contact while their links stay open: the daemon ends and reports it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 def test_a_stop_ends_in_time_though_robot_and_actuator_swallow_all(
     tmp_path: Path, kind: Kind | Literal["link"]
 ) -> None:
-    """Their processes are stopped: the kernel takes new connections and bytes, and nobody answers.
+    """The processes are stopped: the kernel accepts new connections and bytes, but no answer comes.
 
     The limit that ``wait`` has ends what hangs: what the daemon may take by its own limits is much less.
     """
@@ -41,4 +41,4 @@ def test_a_stop_ends_in_time_though_robot_and_actuator_swallow_all(
     end = summary(files)
     assert (end["tool_off"], end["robot_at_rest"]) == ("not confirmed", "not confirmed")
     assert [said.partition(":")[0] for said in end["unsafe"]] == ["actuator", "robot"]
-    assert end["cycles"][0]["uncertain"], "nobody was told what ran after the silence began"
+    assert end["cycles"][0]["uncertain"], "the daemon has no report of the blocks after the silence began"

@@ -23,7 +23,7 @@ def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def certified(run: Path, out: Path) -> dict[str, Any]:
-    """Its twin, once PDF and twin are found to be as they were made."""
+    """Check that PDF and JSON twin are unchanged since they were issued, and return the twin."""
     made = polishd("certificate", "make", run, "--out", out)
     assert made.returncode == 0, made.stderr
     verified = polishd("certificate", "verify", out)
@@ -47,7 +47,7 @@ def test_a_polished_part_is_certified_by_what_the_daemon_left(tmp_path: Path) ->
 
 
 @pytest.mark.full
-def test_a_pass_that_was_cut_off_is_told_with_what_was_done(tmp_path: Path) -> None:
+def test_the_certificate_of_an_interrupted_pass_states_what_was_done(tmp_path: Path) -> None:
     with small_cell(tmp_path / "cell", seed=2) as files:
         with Daemon(files) as daemon:
             daemon.wait_in_contact()

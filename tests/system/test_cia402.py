@@ -1,4 +1,4 @@
-"""CiA 402 between processes: both of our drivers in a whole simulated cell, where the plant tells what the tool did.
+"""CiA 402 between processes: both drivers in a whole simulated cell, whose plant records what the tool did.
 
 With a node and a client of others: tests/interop/test_canopen.py.
 """
@@ -70,13 +70,13 @@ watchdog_s = 6.0
 
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[Cell]:
-    """Both drives in a simulated cell."""
+    """Run a simulated cell with both drives."""
     with cell(tmp_path, SIM, "--speed", "20", "--seed", "7") as found:
         yield found
 
 
 def drivers(running: Cell) -> tuple[Cia402Spindle, Cia402Actuator]:
-    """Ours, on that cell's wires."""
+    """Open the two drivers on that cell's wires."""
     spindle_bus, actuator_bus = (parse_address(running.endpoints[name], ROOT) for name in ("spindle", "actuator"))
     assert isinstance(spindle_bus, SocketcandAddress)
     assert isinstance(actuator_bus, SlcanAddress)
@@ -166,7 +166,7 @@ async def test_a_drive_that_dies_in_contact_lifts_and_is_a_lost_link(running: Ce
 
 
 def test_a_part_is_polished_by_drives_off_the_shelf(tmp_path: Path) -> None:
-    """As shipped but for the two device sections."""
+    """The shipped cell works with the two device sections replaced."""
     files = write_small(tmp_path / "cell", **ONE_PASS)
     text = files.cell.read_text().replace('"voice_coil", ', "", 1)
     for section, ours in (("actuator", ACTUATOR), ("spindle", SPINDLE)):

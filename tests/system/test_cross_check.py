@@ -53,7 +53,7 @@ POSES = [(0.0, 0.0, 0.0), (30.0, -20.0, 45.0), (-45.0, 10.0, 200.0), (12.5, 40.2
 
 
 def worn_nm_s(tool: ToolProcess, grid: Grid, axis: FloatArray, depth_mm: FloatArray, xy: FloatArray) -> FloatArray:
-    """The simulator's removal of one second at each of the contacts, positive, (ny, nx)."""
+    """Return the simulator's removal of one second at each of the contacts, positive, (ny, nx)."""
     surface = np.zeros(grid.shape)
     n = len(xy)
     wear(surface, grid, tool, centre_mm=xy, axis=axis, depth_mm=depth_mm, rpm=np.full(n, tool.rpm), seconds=np.ones(n))
@@ -61,7 +61,7 @@ def worn_nm_s(tool: ToolProcess, grid: Grid, axis: FloatArray, depth_mm: FloatAr
 
 
 def program_at(poses: list[tuple[float, float, float]], dip_deg: float) -> Program:
-    """A program that dwells for a second at each pose."""
+    """Return a program that dwells for a second at each pose."""
     text = b"G21 G90 G94\nG0 X0 Y0 Z0 A0 C0\nF600\n"
     for x, y, c in poses:
         text += b"G1 X%.4f Y%.4f Z0 A%.4f C%.4f\nG4 P1\n" % (x + 1.0, y, dip_deg, c)
@@ -208,7 +208,7 @@ def test_tool_axes_of_a_and_c(a: float, c: float) -> None:
 
 
 def simulated(text: bytes) -> tuple[dict[int, float], list[tuple[float, ...]]]:
-    """Seconds of each line of a program as the simulated controller reads it, and the poses after each line."""
+    """Return the seconds of each line as the simulated controller reads it, and the poses after each line."""
     reader = Reader((0.0, 0.0, 0.0, 0.0, 0.0))
     seconds: dict[int, float] = {}
     poses = [reader.pose]
@@ -224,7 +224,7 @@ def simulated(text: bytes) -> tuple[dict[int, float], list[tuple[float, ...]]]:
 
 @pytest.mark.parametrize("trap", GOOD, ids=lambda trap: trap.name)
 def test_both_readers_find_the_same_seconds_in_the_trap_corpus(trap: Good) -> None:
-    """What may not be is that the machine runs other times than were planned, or refuses what was planned."""
+    """The machine runs exactly the planned times, and refuses no program that was planned."""
     seconds, _ = simulated(trap.text)
     assert [seconds[line] for line in trap.lines] == pytest.approx(trap.seconds, rel=1e-12)
 
@@ -243,18 +243,18 @@ SEEN_OTHERWISE = {
     "F beside a change to inches",
     "F does not outlive a change to inches",
 }
-"""The machine runs these: it knows where it stands, and need not know which number to change."""
+"""Programs that only the controller accepts: it knows its position, and changes no number of the program."""
 
 
 @pytest.mark.parametrize("trap", [t for t in BAD if t.name not in SEEN_OTHERWISE], ids=lambda trap: trap.name)
-def test_what_nobody_can_read_is_refused_by_the_machine_too(trap: Bad) -> None:
+def test_an_unreadable_program_is_refused_by_the_machine_too(trap: Bad) -> None:
     with pytest.raises(ProgramError):
         simulated(trap.text)
 
 
 @st.composite
 def programs(draw: st.DrawFn) -> bytes:
-    """Programs of one encoding, all in the words that both readers know."""
+    """Draw a program of one encoding, in words that both readers support."""
     encoding = draw(st.sampled_from(["feed", "dwell", "inverse"]))
     lines = [draw(st.sampled_from(["G21 G90 G94", "G90 G94", "N5 G20 G90", "g21g90g94 (a)"])), "G0 X0 Y0 Z0 A10 C0"]
     lines.append("G93" if encoding == "inverse" else f"F{draw(st.integers(1, 3000))}")

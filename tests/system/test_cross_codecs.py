@@ -70,7 +70,7 @@ STATUS = st.fixed_dictionaries(
 
 
 def pieces(data: bytes, cuts: list[int]) -> Iterator[bytes]:
-    """The bytes as a wire may hand them over."""
+    """Yield the bytes in pieces, as a wire may deliver them."""
     at = sorted({0, len(data), *(cut % (len(data) + 1) for cut in cuts)})
     return (data[a:b] for a, b in pairwise(at))
 
@@ -140,8 +140,8 @@ def test_records_of_the_controller_reach_the_driver(
 @given(STATUS, U8)
 def test_status_of_the_controller_reaches_the_driver(status: dict[str, Any], kind: int) -> None:
     wire = f.pack_json(f.STATUS, status) + f.pack_json(f.ACK, {"of": kind, "status": status})
-    told, acknowledged = FrameReader().feed(wire)
-    progress = protocol.status(told.payload)
+    frame, acknowledged = FrameReader().feed(wire)
+    progress = protocol.status(frame.payload)
     assert protocol.ack(acknowledged.payload) == protocol.Ack(kind, progress)
     assert {name: getattr(progress, name) for name in status if name != "time_s"} == {
         name: value for name, value in status.items() if name != "time_s"
@@ -187,7 +187,7 @@ def table(of: VoiceCoil | None = None, boots: int = 3) -> CoilRegisters:
 
 
 def asked(request: Any, of: CoilRegisters) -> Any:
-    """A request of pymodbus, through the simulator's slave, as pymodbus reads the answer."""
+    """Send a request of pymodbus to the simulator's slave and return the answer as pymodbus reads it."""
     framer = FramerRTU(DecodePDU(False))
     ((size, answer),) = RtuSlave(1, of.answer).feed(framer.buildFrame(request), 1.0)
     assert size == len(framer.buildFrame(request))
@@ -250,8 +250,8 @@ def test_what_the_actuator_measures_is_what_the_driver_reads(
 
 @given(boots=U32)
 def test_the_actuators_identity_is_read(boots: int) -> None:
-    told = ReadInputRegistersRequest(address=IDENTITY.address, count=IDENTITY.count, dev_id=1)
-    answer = asked(told, table(boots=boots))
+    request = ReadInputRegistersRequest(address=IDENTITY.address, count=IDENTITY.count, dev_id=1)
+    answer = asked(request, table(boots=boots))
     identity = codec.identity(MODBUS, codec.values_of(MODBUS, IDENTITY, answer.registers))
     assert (identity.vendor, identity.model, identity.serial) == ("polishd", "simulated VC50", "SIM-V1")
     assert (identity.firmware, identity.boot_id) == ("1.0", str(boots))
@@ -342,7 +342,7 @@ FRAMES = st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8))
 
 @pytest.fixture(scope="module")
 def adapter() -> Iterator[slcanBus]:
-    """python-can's slcan with its own serial line looped back to it."""
+    """Return python-can's slcan bus with its serial line looped back."""
     bus = slcanBus("loop://", bitrate=500000, sleep_after_open=0.0, timeout=0.0)
     bus.serialPortOrig.read(100)
     yield bus
@@ -355,10 +355,10 @@ def test_slcan_lines_of_the_library_and_of_the_adapter(adapter: slcanBus, frame:
     adapter.send(message)
     sent = adapter.serialPortOrig.read(100)
     assert slcan_frame(sent[:-1]) == frame
-    heard: list[tuple[int, bytes]] = []
-    host = SlcanHost(lambda identifier, data: heard.append((identifier, data)) or [])
+    arrived: list[tuple[int, bytes]] = []
+    host = SlcanHost(lambda identifier, data: arrived.append((identifier, data)) or [])
     assert host.feed(b"O\r" + sent) == b"\rz\r"
-    assert heard == [frame]
+    assert arrived == [frame]
     adapter.serialPortOrig.write(slcan_line(frame))
     received = adapter.recv(0.0)
     assert received is not None
@@ -367,11 +367,11 @@ def test_slcan_lines_of_the_library_and_of_the_adapter(adapter: slcanBus, frame:
 
 @given(FRAMES)
 def test_socketcand_frames_of_the_library_and_of_the_server(frame: tuple[int, bytes]) -> None:
-    heard: list[tuple[int, bytes]] = []
-    server = SocketcandHost(lambda identifier, data: heard.append((identifier, data)) or [])
+    arrived: list[tuple[int, bytes]] = []
+    server = SocketcandHost(lambda identifier, data: arrived.append((identifier, data)) or [])
     message = can.Message(arbitration_id=frame[0], data=frame[1], is_extended_id=False)
     server.feed(b"< open can0 >< rawmode >" + convert_can_message_to_ascii_message(message).encode())
-    assert heard == [frame]
+    assert arrived == [frame]
     received = convert_ascii_message_to_can_message(server.send([frame]).decode())
     assert (received.arbitration_id, bytes(received.data)) == frame
 
@@ -394,7 +394,7 @@ HEIGHTS = hnp.arrays(
 
 
 def measured(heights: FloatArray) -> FloatArray:
-    """The same with something to see in the last sample: a tail of nothing is refused."""
+    """Return the map with a value in the last sample: an empty last sample is refused."""
     heights[-1, -1] = 321.0
     return heights
 

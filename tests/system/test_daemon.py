@@ -1,4 +1,4 @@
-"""The daemon against the simulated cell: cycles, orders, and every way out of contact."""
+"""The daemon against the simulated cell: cycles, commands, and every way to leave contact."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def require_nothing_twice(files: DemoFiles) -> None:
-    """Each program was loaded once, and each block was in contact as the journal says."""
-    told = account(files)["programs"]
-    assert len({program["sha256"] for program in told}) == len(told)
-    assert all(program["loads"] == 1 for program in told)
+    """Require that each program was loaded once and each block was in contact as the journal records."""
+    programs = account(files)["programs"]
+    assert len({program["sha256"] for program in programs}) == len(programs)
+    assert all(program["loads"] == 1 for program in programs)
     require_agreement(files)
 
 
 def require_safe_order(log: list[dict[str, Any]]) -> None:
-    """Force off, tool lifted, and only then motion stopped, at the last way out of contact."""
+    """Require the safe order when contact was last left: force off, tool lifted, and then motion stopped."""
     last = {event["event"]: k for k, event in enumerate(log)}
     assert last["force_zero"] < last["tool_lifted"] < last["motion_stopped"], log[-12:]
 
@@ -82,7 +82,7 @@ def test_a_whole_job_is_polished_and_left_for_people_to_see(tmp_path: Path) -> N
 
 @pytest.mark.full
 def test_what_was_learned_predicts_the_time_that_is_delivered(tmp_path: Path) -> None:
-    """Acceleration and overhead are hidden: after one pass the total is known to 1 %, each block to 5 ms."""
+    """Acceleration and overhead are unknown: after one pass the total is predicted to 1 %, each block to 5 ms."""
     cell = small_cell(tmp_path / "cell", seed=5, speed=40.0, tolerance_nm=0.01, max_cycles=2)
     with cell as files, Daemon(files) as daemon:
         assert daemon.wait() == 1, daemon.output.read_text()
@@ -143,9 +143,9 @@ def test_kill_9_leaves_the_tool_lifted_by_watchdogs_and_comes_up_held(tmp_path: 
         wait_for(lambda: {"spindle"} & {e["device"] for e in events(files, "watchdog")}, "spindle's watchdog")
         require_safe_order(events(files))
         status = polishd("status", files.cell, "--json")
-        told = json.loads(status.stdout)
-        assert (status.returncode, told["state"], told["tool_off"]) == (5, "killed", "not confirmed")
-        assert "while polishing" in told["reason"]
+        answer = json.loads(status.stdout)
+        assert (status.returncode, answer["state"], answer["tool_off"]) == (5, "killed", "not confirmed")
+        assert "while polishing" in answer["reason"]
         with Daemon(files) as daemon:
             assert "uncertain" in daemon.wait_for_state("held")["reason"]
             assert client.request(files.state_dir, "resume")["ok"]
@@ -184,7 +184,7 @@ def test_a_job_goes_on_with_what_it_was_begun_with_and_needs_no_run_folder(tmp_p
 
 @pytest.mark.full
 def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
-    """The instrument stands still for longer than anybody waits; a person starts it again, and resumes."""
+    """The instrument is silent for longer than the map's time limit; the operator restarts it and resumes."""
     files = write_small(tmp_path / "cell", **ONE_PASS)
     files.cell.write_text(with_values(files.cell.read_text(), {"metrology": {"timeout_s": 8.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "80"]
@@ -208,7 +208,7 @@ def test_a_late_map_holds_until_it_comes(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_a_late_map_with_nobody_there_ends_with_its_own_code(tmp_path: Path) -> None:
+def test_a_late_map_without_an_operator_ends_with_its_own_code(tmp_path: Path) -> None:
     files = write_small(tmp_path / "cell")
     files.cell.write_text(with_values(files.cell.read_text(), {"metrology": {"timeout_s": 1.0}}))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]
@@ -274,7 +274,7 @@ def test_a_device_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_an_instrument_that_was_turned_over_is_stopped_by_the_gate_with_a_picture(tmp_path: Path) -> None:
-    """Its profile was proved before; whoever turned it over told nobody. The first pass shows it."""
+    """The instrument was turned over after its profile was commissioned. The first pass shows it."""
     files = write_small(tmp_path / "cell", report=True)
     files.sim.write_text(with_values(files.sim.read_text(), {"interferometer.faults": {"mirror": True}}))
     options = ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"]

@@ -29,7 +29,7 @@ def press(files: DemoFiles, number: signal.Signals) -> None:
 
 
 def few(faults: Mapping[str, Any], first: str) -> list[Any]:
-    """In real time each takes a minute: all but the first are slow."""
+    """Return the cases; each takes a minute in real time, so that all but the first are slow."""
     return [first, *(pytest.param(name, marks=pytest.mark.slow) for name in faults if name != first)]
 
 

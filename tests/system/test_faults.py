@@ -1,4 +1,4 @@
-"""A whole job through bad wires, a nasty instrument and a broken actuator: it gets there, or it ends safe and says why.
+"""A whole job with bad wires, a faulty instrument or a broken actuator completes, or ends safe and reports the reason.
 
 Whatever happens, no block is polished twice, and force and tool are off the part before motion stops.
 """
@@ -29,18 +29,20 @@ Fault = Mapping[str, Any]
 
 @contextlib.contextmanager
 def faulty_cell(
-    out: Path, *faults: Fault, seed: int = 1, speed: float = 40.0, nasty: bool = False, **job: Any
+    out: Path, *faults: Fault, seed: int = 1, speed: float = 40.0, bad_instrument: bool = False, **job: Any
 ) -> Iterator[DemoFiles]:
-    """A running simulator for the small part, with these faults."""
+    """Run a simulator with the small part and these faults for the duration of the block."""
     files = write_small(out, **{**ONE_PASS, **job})
-    files.sim.write_text(with_faults(with_keys(files.sim.read_text(), NASTY if nasty else {}), *faults))
+    files.sim.write_text(
+        with_faults(with_keys(files.sim.read_text(), BAD_INSTRUMENT if bad_instrument else {}), *faults)
+    )
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         yield files
 
 
 def require_off_the_part(files: DemoFiles) -> None:
-    """In the simulator's own log: force off, tool lifted, and motion, where there was any in contact, stopped last."""
+    """Require the safe order in the simulator's log: force off, tool lifted, motion in contact stopped last."""
     wait_for(lambda: events(files, "tool_landed", "tool_lifted")[-1]["event"] == "tool_lifted", "the tool to be lifted")
     log = events(files)
     last = {event["event"]: k for k, event in enumerate(log)}
@@ -64,23 +66,23 @@ def test_faults_are_put_into_the_simulators_file() -> None:
 
 
 def late(device: str, jitter_s: float, by_s: float) -> list[Fault]:
-    """Every frame a little, and one in fifty much."""
+    """Return a fault that delays every frame a little, and one in fifty much."""
     delay = {"device": device, "what": "delay"}
     return [{**delay, "rate": 1.0, "jitter_s": jitter_s}, {**delay, "rate": 0.02, "by_s": by_s}]
 
 
 def bad(device: str, garbled: float, lost: float) -> list[Fault]:
-    """Frames from the device."""
+    """Return a fault of the frames from the device."""
     return [{"device": device, "what": what, "rate": rate} for what, rate in (("garble", garbled), ("drop", lost))]
 
 
 LATE = [*late("robot", 0.01, 0.15), *late("actuator", 0.004, 0.1), *late("spindle", 0.004, 0.1)]
-NASTY = {"interferometer.faults": {"preallocate": True, "duplicate_first": True, "wrong_part_first": True}}
+BAD_INSTRUMENT = {"interferometer.faults": {"preallocate": True, "duplicate_first": True, "wrong_part_first": True}}
 
 
 def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_tolerance(tmp_path: Path) -> None:
-    """Each map comes after another part's and after the last one again, in files of full length from the start."""
-    with faulty_cell(tmp_path / "cell", *LATE, nasty=True, seed=3, speed=80.0) as files:
+    """Before each map come another part's map and the last map again; files have full length from the start."""
+    with faulty_cell(tmp_path / "cell", *LATE, bad_instrument=True, seed=3, speed=80.0) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == 0, daemon.output.read_text()
         require_nothing_twice(files)
@@ -88,10 +90,10 @@ def test_a_nasty_instrument_and_late_replies_do_not_keep_a_job_from_its_toleranc
         measured = [event["true_rms_nm"] for event in events(files, "measured")]
     end = summary(files)
     assert end["outcome"] == "in_tolerance"
-    told = [cycle["rms_nm"] for cycle in end["cycles"]]
-    assert len(told) == len(dropped) >= 2, "one map a request, and only the right ones are taken"
+    recorded = [cycle["rms_nm"] for cycle in end["cycles"]]
+    assert len(recorded) == len(dropped) >= 2, "one map a request, and only the right ones are taken"
     # neither an old map, nor another part's (it is the negative), nor one with a tail of zeros
-    assert told == pytest.approx(measured[: len(told)], rel=0.02, abs=0.2)
+    assert recorded == pytest.approx(measured[: len(recorded)], rel=0.02, abs=0.2)
 
 
 BAD_WIRES: dict[str, list[Fault]] = {
@@ -122,7 +124,7 @@ def test_a_bad_wire_ends_in_tolerance_or_safe_with_a_device_error(tmp_path: Path
 
 @pytest.mark.parametrize("when", [{"at_s": 0.0}, {"contact_s": 0.7}], ids=["from the start", "in contact"])
 def test_a_spindle_that_turns_the_wrong_way_round_does_not_polish(tmp_path: Path, when: Fault) -> None:
-    """Its encoder reads it, with a sign: before the tool lands the speed is not reached, in contact it is another."""
+    """The encoder measures the fault: the speed is not reached before landing, and is wrong in contact."""
     reverse = {"device": "spindle", "what": "reverse", **when}
     with faulty_cell(tmp_path / "cell", reverse, speed=10.0) as files:
         with Daemon(files, "--no-hold") as daemon:
@@ -150,9 +152,9 @@ def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Pat
         # stuck for the grace time, and then acted upon
         assert 0.2 < off["mono_s"] - landed["mono_s"] - 1.5 < 2.0
         assert summary(files)["outcome"] != "in_tolerance"
-        told = json.loads(polishd("status", files.cell, "--json").stdout)
-        assert (told["state"], told["exit_code"], told["tool_off"]) == ("failed", SAFETY, "yes")
-        assert told["run_dir"] == str(files.run_dir)
+        answer = json.loads(polishd("status", files.cell, "--json").stdout)
+        assert (answer["state"], answer["exit_code"], answer["tool_off"]) == ("failed", SAFETY, "yes")
+        assert answer["run_dir"] == str(files.run_dir)
         before = len(events(files))
         with Daemon(files) as daemon:
             assert daemon.wait_for_state("held")["reason"]

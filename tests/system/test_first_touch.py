@@ -49,11 +49,11 @@ def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))
     part = load_config(files.cell).part.id
 
-    told = json.loads(
+    results = json.loads(
         polishd("calibrate", "first-touch", "cell.toml", "--out", "touch", "--part", part, "--json", cwd=tmp_path)
     )
-    errors = {row["name"]: (row["before"], row["after"]) for row in told["parameters"]}
-    assert told["contact_min"] < 5.0
+    errors = {row["name"]: (row["before"], row["after"]) for row in results["parameters"]}
+    assert results["contact_min"] < 5.0
     assert errors["rate"][1] < 0.1 * errors["rate"][0]
     assert errors["offset_x"][1] < 0.02
 
@@ -76,13 +76,13 @@ def test_what_a_touch_teaches_the_next_job_begins_with(tmp_path: Path) -> None:
     # The rate's field over the part takes some of it, as the noise of the maps has it; both are applied.
     assert first["rate"] == pytest.approx(1 + RATE, abs=0.1)
     assert first["expected_high_nm"] < 0.1 * first["rms_nm"], "it knows its machine, and what it knows it by"
-    assert second["rms_nm"] < 0.15 * first["rms_nm"], "20 % of rate that nobody knew would leave 20 %"
+    assert second["rms_nm"] < 0.15 * first["rms_nm"], "an unknown rate error of 20 % would leave 20 %"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_rate_that_a_touch_states_is_as_far_off_as_it_says(tmp_path: Path) -> None:
-    """Of the simulator's plants on the demo's small part, with friction, and rates that differ by 15 %."""
+    """Simulated plants with the demo's small part, friction, and rates that differ by 15 %."""
     files = write_small(tmp_path, tolerance_nm=3.0, max_cycles=2)
     files.cell.write_text(with_keys(files.cell.read_text(), {"process": MACHINE}))
     files.profile.write_text(with_keys(files.profile.read_text(), {"repeatability": {"rms_nm": 0.3}}))

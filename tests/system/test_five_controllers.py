@@ -1,4 +1,4 @@
-"""One cycle on five controllers, each with delays of its own; the table in docs/explanation/robot.md.
+"""Two passes on five controllers with different delays, for the table in docs/reference/results.md.
 
 After all of them, ``python -m tests.system.five_controllers`` writes the table.
 """
@@ -18,14 +18,14 @@ pytestmark = pytest.mark.system
 
 PREDICTED, ACCOUNTED, AS_GOOD = 0.01, 1e-3, 0.1
 AS_CERTIFIED = 3.0
-"""Times what the certificate says: a robot link that waits nowhere leaves 2.2 to 2.9 times as much (results.md)."""
+"""Permitted multiple of the certified RMS: a robot link without delays leaves 2.2 to 2.9 times as much (results.md)."""
 SLOW = ("linuxcnc",)
-"""It knows real time only."""
+"""LinuxCNC runs in real time only."""
 
 
 @pytest.fixture(scope="module")
 def of_the_link(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Controller], float]:
-    """RMS that a robot link leaves, nm; each is run once."""
+    """Return a function for the RMS in nm that a robot link leaves; each one is run once."""
 
     @cache
     def rms_nm(controller: Controller) -> float:
@@ -43,7 +43,7 @@ CASES = [
 def test_what_was_learned_predicts_a_pass_and_all_of_it_is_accounted_for(
     tmp_path: Path, controller: Controller, of_the_link: Callable[[Controller], float]
 ) -> None:
-    """Acceptance: the second pass within 1 %, each account within 0.1 %, and as good as the same over a robot link."""
+    """Acceptance: the second pass within 1 %, contact times within 0.1 %, and an RMS as good as over a robot link."""
     found = polish(tmp_path / "cell", controller)
     if controller.kind != "link":
         found = replace(found, link_rms_nm=of_the_link(link_like(controller)))
@@ -57,7 +57,7 @@ def test_what_was_learned_predicts_a_pass_and_all_of_it_is_accounted_for(
 def test_a_floor_of_290_ms_a_point_is_in_the_certificate(
     tmp_path: Path, of_the_link: Callable[[Controller], float]
 ) -> None:
-    """Acceptance: against the certificate with that floor. Learned in the first pass, it is known to the second."""
+    """Acceptance against the certificate with that additional time, which the first pass estimates for the second."""
     found = replace(polish(tmp_path / "cell", SLOW_PLC), link_rms_nm=of_the_link(link_like(SLOW_PLC)))
     save(found)
     require_good(found)

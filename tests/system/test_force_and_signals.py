@@ -1,4 +1,4 @@
-"""An independent force sensor and monitors in a whole cell: whoever lies, contact ends in order, and it is said who.
+"""An independent force sensor and monitors in a whole cell: contact ends in order, and the faulty device is named.
 
 What acts is the plant's: the actuator's own word and the sensor's may both be wrong.
 """
@@ -61,7 +61,7 @@ action = "estop"
 def watched_cell(
     out: Path, cell: str, sim: str, faults: Sequence[Fault] = (), *, speed: int = 10, **job: Any
 ) -> Iterator[DemoFiles]:
-    """A running simulator for the small part, with more in both files."""
+    """Run a simulator with the small part and additions to both files for the duration of the block."""
     files = write_small(out, **{**ONE_PASS, **job})
     text = with_values(files.cell.read_text() + cell, {"limits": {"force_alarm_delay_s": 1.3}})
     files.cell.write_text(text)
@@ -72,7 +72,7 @@ def watched_cell(
 
 
 def sensed(files: DemoFiles) -> list[tuple[float, float]]:
-    """The actuator's word and the sensor's, of each block that touched and has both."""
+    """Return the forces of actuator and sensor, in N, of each block that touched and has both."""
     with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
         rows = "SELECT force_n, sensor_force_n FROM segment WHERE touched = 1 AND sensor_force_n IS NOT NULL"
         return list(journal.execute(rows))
@@ -82,7 +82,7 @@ def press(files: DemoFiles, device: str, number: signal.Signals) -> None:
     os.kill(json.loads((files.sim_dir / "pids.json").read_text())[device], number)
 
 
-def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None:
+def test_a_sensor_that_agrees_is_tared_reported_and_recorded(tmp_path: Path) -> None:
     sim = '[force_sensor]\nkind = "serial"\n[monitor]\nkind = "serial"\n'
     cell = SENSOR.format(**PATIENT) + MONITOR.format(action="lift")
     with watched_cell(tmp_path / "cell", cell, sim) as files:
@@ -105,26 +105,26 @@ def test_a_sensor_that_agrees_is_tared_told_and_recorded(tmp_path: Path) -> None
     both = sensed(files)
     assert len(both) > 100
     apart_n = sorted(abs(sensor_n - force_n) for force_n, sensor_n in both)
-    # Each word is the last one heard when the block ended: beside busy processes one may be older while force rises.
+    # Each force is the last one received when the block ended: on a busy machine one may be older while force rises.
     assert apart_n[len(both) // 2] < 0.5
     assert apart_n[int(0.95 * len(both))] < 1.0, apart_n[-20:]
     header = next(files.run_dir.glob("cycle-00/executed.csv")).read_text().splitlines()[0]
     assert header.endswith("sensor_force_n")
 
 
-LIARS = ("actuator", "force sensor")
+WRONG_DEVICES = ("actuator", "force sensor")
 
 
 def drift(device: str) -> Fault:
-    """2 N/s, half a second after contact began."""
+    """Return a drift of 2 N/s that begins half a second after contact."""
     return {"device": device, "what": "drift", "contact_s": 0.5, "drift_n_s": 2.0}
 
 
-@pytest.mark.parametrize("liar", LIARS)
-def test_whoever_lies_contact_ends_in_the_safe_order_and_he_is_named(tmp_path: Path, liar: str) -> None:
+@pytest.mark.parametrize("device", WRONG_DEVICES)
+def test_a_wrong_force_ends_contact_in_the_safe_order_and_its_device_is_named(tmp_path: Path, device: str) -> None:
     sim = '[force_sensor]\nkind = "serial"\n'
-    lies = [drift(liar.replace(" ", "_"))]
-    with watched_cell(tmp_path / "cell", SENSOR.format(**PATIENT), sim, lies, speed=4) as files:
+    faults = [drift(device.replace(" ", "_"))]
+    with watched_cell(tmp_path / "cell", SENSOR.format(**PATIENT), sim, faults, speed=4) as files:
         with Daemon(files) as daemon:
             assert daemon.wait() == SAFETY, daemon.output.read_text()
         require_off_the_part(files)
@@ -132,7 +132,7 @@ def test_whoever_lies_contact_ends_in_the_safe_order_and_he_is_named(tmp_path: P
     reason = summary(files)["reason"]
     assert "the forces disagree: the actuator reads " in reason
     assert "the set point is 12 N" in reason
-    assert reason.endswith(f"the {liar} is probably wrong"), reason
+    assert reason.endswith(f"the {device} is probably wrong"), reason
 
 
 SILENT: dict[str, list[Fault]] = {
@@ -168,7 +168,7 @@ def test_a_flow_that_stops_in_contact_ends_the_pass(tmp_path: Path) -> None:
 
 
 def test_a_guard_that_opens_stops_motion_at_once_and_holds_the_cell(tmp_path: Path) -> None:
-    """For as long as it is open the cell stays held, however often somebody resumes."""
+    """The cell stays held while the guard is open, however often the operator resumes."""
     sim = '[monitor]\nkind = "serial"\n[monitor.signals.guard_closed]\nvalue = true\nchanges_to = false\n'
     with watched_cell(tmp_path / "cell", MONITOR.format(action="hold"), sim) as files, Daemon(files) as daemon:
         daemon.wait_in_contact(50)
@@ -189,7 +189,7 @@ def test_a_guard_that_opens_stops_motion_at_once_and_holds_the_cell(tmp_path: Pa
 def test_nothing_moves_before_the_slurry_flows(tmp_path: Path) -> None:
     sim = '[monitor]\nkind = "serial"\n[monitor.signals.slurry_flow]\nvalue = 0.2\nchanges_to = 1.5\n'
     with watched_cell(tmp_path / "cell", MONITOR.format(action="lift"), sim) as files, Daemon(files) as daemon:
-        wait_for(lambda: "slurry_flow is 0.2 l/min" in str(daemon.status().get("signals")), "the signal to be told")
+        wait_for(lambda: "slurry_flow is 0.2 l/min" in str(daemon.status().get("signals")), "the signal in the status")
         wait_for(lambda: events(files, "map_dropped"), "a map")
         assert events(files, "engage", "motion_started") == []
         press(files, "monitor", signal.SIGUSR1)
@@ -198,7 +198,7 @@ def test_nothing_moves_before_the_slurry_flows(tmp_path: Path) -> None:
 
 
 def test_a_tool_that_stays_without_power_is_taken_off_by_the_robot(tmp_path: Path) -> None:
-    """The actuator's power is gone, and 12 N still act: motion goes on until the robot has the tool off."""
+    """The actuator loses power while 12 N act: motion continues until the robot has lifted the tool."""
     files = write_small(tmp_path / "cell", **ONE_PASS)
     files.cell.write_text(with_keys(files.cell.read_text(), {"actuator": {"unpowered": "stays"}}))
     files.sim.write_text(with_keys(files.sim.read_text(), {"actuator": {"unpowered": "stays"}}))
@@ -211,8 +211,8 @@ def test_a_tool_that_stays_without_power_is_taken_off_by_the_robot(tmp_path: Pat
             press(files, "actuator", signal.SIGKILL)
             assert daemon.wait() == 5, daemon.output.read_text()
             stopped = wait_for(lambda: events(files, "motion_stopped"), "standstill")[-1]
-        told = wait_for(lambda: account(files)["way_out"], "the account")
+        way_out = wait_for(lambda: account(files)["way_out"], "the account")
     assert stopped["detail"] == "lift"
-    assert told["contact_s"] > 0.0, "it went on pressing"
-    assert told["standing_s"] <= 0.05
+    assert way_out["contact_s"] > 0.0, "it went on pressing"
+    assert way_out["standing_s"] <= 0.05
     require_agreement(files)

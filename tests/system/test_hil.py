@@ -1,4 +1,4 @@
-"""``polishd hil`` and ``pytest -m hil``: simulated cells stand for real ones."""
+"""``polishd hil`` and ``pytest -m hil``: simulated cells replace real ones."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def hil(cell: Path, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 def counted(output: str) -> dict[str, int]:
-    """How many tests ended how."""
+    """Return the number of tests by outcome."""
     return {
         word: int(count) for count, word in re.findall(r"(\d+) (passed|failed|error|skipped)", output.splitlines()[-1])
     }
 
 
 @pytest.mark.full
-def test_nothing_is_opened_where_nobody_is_there_to_ask(tmp_path: Path) -> None:
+def test_nothing_is_opened_where_no_operator_can_confirm(tmp_path: Path) -> None:
     done = hil(Path(shutil.copy(ROOT / "examples" / "cell.toml", tmp_path)))
     assert done.returncode == 3
     assert "use --yes to continue without it. Nothing was opened" in done.stderr
@@ -64,14 +64,14 @@ def test_a_dead_device_fails_and_the_simulated_ones_beside_it_pass(tmp_path: Pat
 
 @pytest.mark.full
 def test_a_program_reads_what_was_found(tmp_path: Path) -> None:
-    """A device that is not there: what people read is on stderr."""
+    """A device is missing: the text for people is on stderr."""
     done = hil(write_small(tmp_path).cell, "--simulate", "robot,spindle", "--yes", "--json")
     assert done.returncode == 5, done.stderr
-    told = json.loads(done.stdout)
-    assert {"actuator", "robot", "spindle", "metrology"} <= {one["device"] for one in told["devices"]}
-    assert told["kept"] > 20
-    assert told["broken"] == len(told["problems"]) > 0
-    assert any(one["demand"] == "test_it_identifies_itself[actuator]" and one["why"] for one in told["problems"])
+    report = json.loads(done.stdout)
+    assert {"actuator", "robot", "spindle", "metrology"} <= {one["device"] for one in report["devices"]}
+    assert report["kept"] > 20
+    assert report["broken"] == len(report["problems"]) > 0
+    assert any(one["demand"] == "test_it_identifies_itself[actuator]" and one["why"] for one in report["problems"])
     assert "FAILED" in done.stderr or "ERROR" in done.stderr
 
 
@@ -91,7 +91,7 @@ def test_a_cell_is_tried_up_to_contact_and_never_harder_than_allowed(tmp_path: P
 
 
 @pytest.mark.full
-def test_whoever_interrupts_it_finds_the_tool_up(tmp_path: Path) -> None:
+def test_the_tool_is_up_after_an_interrupt(tmp_path: Path) -> None:
     files = write_small(tmp_path)
     on_part = {"robot": {"home": [0.0, 0.0, 0.0, 15.0, 0.0]}}
     files.sim.write_text(with_keys(files.sim.read_text(), on_part))
@@ -103,7 +103,7 @@ def test_whoever_interrupts_it_finds_the_tool_up(tmp_path: Path) -> None:
             os.killpg(process.pid, signal.SIGINT)  # as the terminal does
             assert process.wait(SOON_S) == 130
         assert events(files, "engage", "retracted")[-1]["event"] == "retracted"
-        assert not events(files, "watchdog"), "nobody took it off the part, and its watchdog ran out"
+        assert not events(files, "watchdog"), "the driver did not lift the tool, and the watchdog expired"
 
 
 @pytest.mark.full

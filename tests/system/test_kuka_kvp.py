@@ -31,7 +31,7 @@ def robot_pid(files: DemoFiles) -> int:
 
 
 def say(files: DemoFiles, kind: int, payload: bytes) -> bytes:
-    """A request as another client sends it."""
+    """Send a request from another client."""
     port = int(str(load_config(files.cell).robot.model_dump()["address"]).rpartition(":")[2])
     with socket.create_connection(("127.0.0.1", port)) as client:
         client.sendall(struct.pack(">HHB", 7, 1 + len(payload), kind) + payload)
@@ -49,14 +49,14 @@ def stop_key(files: DemoFiles) -> None:
 Happens = Callable[[DemoFiles], object]
 
 MOVES_ON: dict[str, tuple[Happens, str]] = {"override": (slow_down, "override is at 50 %")}
-"""The robot goes on meanwhile, so that it is off the part before it stands."""
+"""Events after which the robot continues, so that the tool leaves the part before the robot stops."""
 STANDS: dict[str, tuple[Happens, str]] = {
     "emergency stop": (lambda files: os.kill(robot_pid(files), signal.SIGUSR1), "a stop message is active"),
     "manual mode": (lambda files: os.kill(robot_pid(files), signal.SIGUSR2), "mode T1"),
     "stop key": (stop_key, "stopped at the controller"),
     "power cut": (lambda files: os.kill(robot_pid(files), signal.SIGKILL), "127.0.0.1"),
 }
-"""The robot stands by its own doing: all that is left is to take the force off at once."""
+"""Events at which the robot stops: the daemon takes the force off at once."""
 
 
 @pytest.mark.parametrize("fault", [*MOVES_ON, *STANDS])

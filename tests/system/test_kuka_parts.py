@@ -1,4 +1,4 @@
-"""What a cell does beside a pass, on a KUKA controller: touch-off, first touch, a queue of parts."""
+"""Functions beside a pass on a KUKA controller: touch-off, first touch, a queue of parts."""
 
 from __future__ import annotations
 

@@ -25,12 +25,12 @@ ACTUATORS: dict[str, Callable[[Path], DemoFiles]] = {
     name.removeprefix("actuator, "): link.write for name, link in LINKS.items() if name.startswith("actuator, ")
 } | {"profile": profiled_files}
 SOON_S = 1.0
-"""From a force that is wrong to none: a reading, the order, the fall; and a busy machine."""
+"""Longest time from a wrong force to none, in s: reading, command, retraction, and delays of a busy machine."""
 
 
 @contextlib.contextmanager
 def running(files: DemoFiles, *faults: Fault, speed: float = 10.0) -> Iterator[DemoFiles]:
-    """The simulator of that cell, with these faults."""
+    """Run the simulator of that cell with these faults for the duration of the block."""
     files.sim.write_text(with_faults(files.sim.read_text(), *faults))
     options = ["--state", str(files.sim_dir), "--seed", "2", "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
@@ -38,7 +38,7 @@ def running(files: DemoFiles, *faults: Fault, speed: float = 10.0) -> Iterator[D
 
 
 def stopped(files: DemoFiles) -> tuple[str, float]:
-    """Why the daemon ended, by itself and in the safe order, and how long a force acted from the first wrong moment."""
+    """Require that the daemon ended in the safe order; return its reason and how long the wrong force acted, in s."""
     with Daemon(files) as daemon:
         assert daemon.wait() == SAFETY, daemon.output.read_text()
     require_off_the_part(files)
@@ -76,7 +76,7 @@ def test_a_touch_off_with_33_n_ends_at_its_first_reading(tmp_path: Path) -> None
 
 
 def test_a_landing_that_only_the_force_sensor_feels_ends(tmp_path: Path) -> None:
-    """The actuator presses and reads none: without the sensor's word it would press until its landing is given up."""
+    """The actuator presses but reads no force: without the sensor it would press until the landing times out."""
     lie = {"device": "actuator", "what": "lie", "at_s": 0.0, "factor": 0.0}
     sensor = SENSOR.format(silence_s=1.0, delay_s=0.4)
     with watched_cell(tmp_path / "cell", sensor, '[force_sensor]\nkind = "serial"\n', [lie]) as files:

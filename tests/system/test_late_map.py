@@ -19,13 +19,13 @@ pytestmark = [pytest.mark.system, pytest.mark.full]
 
 
 def taken_maps(files: DemoFiles) -> list[str]:
-    """Contents of the maps that the journal names, in order."""
+    """Return the contents of the maps that the journal names, in order."""
     with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as connection:
         return [row[0] for row in connection.execute("SELECT sha256 FROM map ORDER BY id")]
 
 
 def test_the_last_parts_map_that_comes_late_is_not_taken_for_this_part(tmp_path: Path) -> None:
-    """It was asked for, and measured, while that part was in; it comes when this part's map is waited for."""
+    """The map was requested and measured for the last part; it arrives while the daemon waits for this part's map."""
     files = write_small(tmp_path / "cell", **ONE_PASS)
     unnamed = {"accept_without_part_id": True, "clock_tolerance_s": 1.0}
     files.cell.write_text(with_keys(files.cell.read_text(), {"metrology": unnamed}))

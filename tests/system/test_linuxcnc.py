@@ -22,11 +22,11 @@ from tests.system.test_daemon import require_safe_order
 pytestmark = pytest.mark.system
 
 LONG_S = 0.6
-"""A dwell so long is not over before a hold comes."""
+"""Dwell that lasts longer than a hold takes to arrive."""
 
 
 def require_safe_end(files: DemoFiles) -> None:
-    """Out of contact before the robot goes up, and at rest in the end."""
+    """Require that contact ended before the robot went up, and that the robot stands still."""
     names = [event["event"] for event in events(files)]
     last = {name: k for k, name in enumerate(names)}
     assert last["force_zero"] < last["tool_lifted"] < last["motion_started"] < last["motion_stopped"], names
@@ -48,7 +48,7 @@ def test_the_seat_is_proved_at_three_places_with_linuxcnc_too(tmp_path: Path) ->
 
 @pytest.mark.full
 def test_a_dwell_is_left_before_it_is_held_and_a_silent_daemon_is_noticed_by_the_gate(tmp_path: Path) -> None:
-    """LinuxCNC's dwell clock knows no pause: the tool is off before motion is held, and comes back by order only."""
+    """LinuxCNC does not pause a dwell: the tool is lifted before motion is held, and lands again on command only."""
     with linuxcnc_cell(write_files(tmp_path / "cell", tolerance_nm=0.01, max_cycles=3)) as cell:
         files = cell.files
         with cell.daemon() as daemon:
@@ -73,7 +73,7 @@ def test_a_dwell_is_left_before_it_is_held_and_a_silent_daemon_is_noticed_by_the
 
 
 def in_a_long_dwell(files: DemoFiles) -> tuple[int, float]:
-    """Returns early in the longest dwell of the next pass: its block, and when it began."""
+    """Wait until the longest dwell of the next pass begins; return its block and when it began."""
     before, rests = len(events(files)), len(events(files, "rest_begun"))
     wait_for(lambda: "program_loaded" in [e["event"] for e in events(files)[before:]], "a pass")
     lines = (files.sim_dir / "linuxcnc" / "nc" / "polishd.ngc").read_bytes().split(b"\n")
@@ -89,13 +89,13 @@ def in_a_long_dwell(files: DemoFiles) -> tuple[int, float]:
 
 
 def dwells_in_contact(files: DemoFiles, since: int) -> list[str]:
-    """Names of the events since then, once a dwell of a pass has begun."""
+    """Wait until a dwell of a pass has begun after that event, and return the names of the events since then."""
     names = [e["event"] for e in events(files)[since:]]
     return names if "force_on" in names and "rest_begun" in names[names.index("force_on") :] else []
 
 
 def require_left_within_the_dwell(files: DemoFiles, began_s: float) -> None:
-    """Force off and tool lifted while the dwell's clock ran, and nothing moved any more."""
+    """Require that the tool was lifted while the dwell ran, and that nothing moved afterwards."""
     wait_for(lambda: events(files, "motion_stopped")[-1]["mono_s"] > began_s, "standstill")
     log = events(files)
     require_safe_order(log)
@@ -105,7 +105,7 @@ def require_left_within_the_dwell(files: DemoFiles, began_s: float) -> None:
 
 
 def require_uncertain(files: DemoFiles, dwell: int, reason: str) -> None:
-    """The plant knows that the part lost something in that dwell; the daemon claims nothing, and says which block."""
+    """The plant records removal in that dwell; the daemon reports the block as uncertain."""
     found = re.search(r"uncertain: blocks (\d+) to", reason)
     assert found is not None, reason
     first = int(found[1])
@@ -114,13 +114,13 @@ def require_uncertain(files: DemoFiles, dwell: int, reason: str) -> None:
     assert sum(was[dwell - 1 : dwell + 1]) > 0.02
     assert not any(was[dwell + 1 :])
     with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as journal:
-        told = [row[0] for row in journal.execute("SELECT seq FROM segment WHERE touched = 1")]
-    assert max(told) == first - 1
+        touched = [row[0] for row in journal.execute("SELECT seq FROM segment WHERE touched = 1")]
+    assert max(touched) == first - 1
 
 
 @pytest.mark.full
 def test_a_part_on_a_tilting_table_is_polished_as_if_the_tool_were_turned(tmp_path: Path) -> None:
-    """xyzac-trt-kins: what polishd takes for tip and axis is what the plant finds from the joints; each block once."""
+    """xyzac-trt-kins: polishd's tip and axis agree with those that the plant calculates from the joints."""
     files = write_files(tmp_path / "cell", turns="table", tolerance_nm=0.01, max_cycles=1)
     files.cell.write_text(with_keys(files.cell.read_text(), PATIENT))
     with linuxcnc_cell(files) as cell:
@@ -134,13 +134,13 @@ def test_a_part_on_a_tilting_table_is_polished_as_if_the_tool_were_turned(tmp_pa
     assert program["loads"] == 1
     rows = np.genfromtxt(files.run_dir / "cycle-00" / "executed.csv", delimiter=",", names=True)
     assert np.all(np.diff(rows["seq"]) == 1), "each block of the contact once, and in order"
-    told_s = np.sum((rows["end_s"] - rows["start_s"]) * (rows["contact"] == 1))
-    assert told_s == pytest.approx(sum(program["contact_s"]), rel=0.01)
+    reported_s = np.sum((rows["end_s"] - rows["start_s"]) * (rows["contact"] == 1))
+    assert reported_s == pytest.approx(sum(program["contact_s"]), rel=0.01)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("turns", ["tool", "table"])
-def test_it_stops_where_it_is_told_and_is_held_aborted_and_refuses(tmp_path: Path, turns: Turns) -> None:
+def test_it_stops_at_the_requested_block_and_is_held_aborted_and_refuses(tmp_path: Path, turns: Turns) -> None:
     with linuxcnc_cell(write_files(tmp_path / "cell", turns=turns)) as cell:
         said = cell.moves()
         assert said["before"] == "idle"

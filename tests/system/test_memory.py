@@ -1,4 +1,4 @@
-"""Memory runs out in contact: by the process's own limit, by a plugin that grows, and a worker that the kernel ends."""
+"""Memory runs out in contact: by the limit of the process, by a plugin, and in a worker that the kernel kills."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def polishd_on_event(event):
             except MemoryError:
                 pass
 """
-"""A listener that takes all memory that the process may have, down to the last half of a kilobyte."""
+"""Event listener that allocates all memory that the process may have, down to the last half of a kilobyte."""
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def files(tmp_path: Path) -> Iterator[DemoFiles]:
 
 @pytest.fixture
 def grows(tmp_path: Path, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The flag from which on the plugin of the cell grows."""
+    """Install the plugin and return the flag file that makes it allocate memory."""
     site, flag = tmp_path / "site", tmp_path / "grow"
     info = site / "grows-1.0.dist-info"
     info.mkdir(parents=True)
@@ -66,7 +66,7 @@ def grows(tmp_path: Path, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def limited(pid: int, left: int) -> None:
-    """The process may grow by so many bytes, and no further."""
+    """Limit the further memory of the process, in bytes."""
     lines = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     limit = int(lines["VmSize"].split()[0]) * 1024 + left
     resource.prlimit(pid, resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
@@ -77,7 +77,7 @@ def moved(log: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def require_goes_on(files: DemoFiles) -> None:
-    """A daemon with memory again comes up held, moves nothing by itself, and polishes nothing twice after resume."""
+    """A restarted daemon is held, moves nothing before ``resume``, and polishes nothing twice after it."""
     before = len(events(files))
     with Daemon(files) as daemon:
         held = daemon.wait_for_state("held")
@@ -90,8 +90,8 @@ def require_goes_on(files: DemoFiles) -> None:
     require_nothing_twice(files)
 
 
-def test_little_memory_left_is_told_in_contact_and_holds_the_cell(files: DemoFiles) -> None:
-    """The process's own limit is a figure of its health: contact is left while there still is memory to do it."""
+def test_little_memory_left_is_reported_in_contact_and_holds_the_cell(files: DemoFiles) -> None:
+    """The daemon monitors the memory limit of its process: it leaves contact while enough memory is left."""
     with Daemon(files) as daemon:
         daemon.wait_in_contact(60)
         limited(daemon.process.pid, 20 << 20)
@@ -108,7 +108,7 @@ def test_little_memory_left_is_told_in_contact_and_holds_the_cell(files: DemoFil
 
 
 def test_a_process_without_memory_leaves_contact_and_says_so(files: DemoFiles, grows: Path) -> None:
-    """All memory is gone at once, before any look: MemoryError wherever it comes first."""
+    """All memory is used at once, before the daemon checks it: MemoryError may come anywhere."""
     with Daemon(files) as daemon:
         daemon.wait_in_contact(60)
         limited(daemon.process.pid, 8 << 20)
@@ -130,7 +130,7 @@ def test_a_process_without_memory_leaves_contact_and_says_so(files: DemoFiles, g
 
 
 def test_a_worker_that_the_kernel_ends_for_its_memory_is_replaced(files: DemoFiles) -> None:
-    """In contact it is idle: the pass goes on, and the next computation has a new one."""
+    """The worker is idle in contact: the pass continues, and the next computation uses a new worker."""
     with Daemon(files) as daemon:
         daemon.wait_in_contact(60)
         children = Path(f"/proc/{daemon.process.pid}/task/{daemon.process.pid}/children").read_text().split()

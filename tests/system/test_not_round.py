@@ -28,12 +28,12 @@ OUTLINES = {
     "ring": ("aperture_mm = 40.0\nhole_mm = 16.0", np.pi * (20**2 - 8**2), (50, 50)),
     "file": ('polygon_file = "corners.csv"', 26 * 30 - 10 * 12 / 2, (36, 40)),
 }
-"""By name: the key of the cell, mm^2, and how far the process grid reaches along x and y, mm."""
+"""Outlines by name: key of the cell file, area in mm^2, and half extent of the process grid along x and y in mm."""
 CORNERS = "x_mm,y_mm\n13,15\n-13,15\n-13,-15\n3,-15\n13,-3\n"
 
 
 def write_files(out: Path, name: str) -> DemoFiles:
-    """The demo's cell with such a part, which it finds in its maps by its outline."""
+    """Write the demo's cell with such a part, which the daemon locates in its maps by its outline."""
     files = write_small(out, touch_off=True, tolerance_nm=4.0, max_cycles=3)
     key = OUTLINES[name][0]
     (out / "corners.csv").write_text(CORNERS)
@@ -49,14 +49,14 @@ def write_files(out: Path, name: str) -> DemoFiles:
 
 
 def run(*words: object) -> None:
-    """``polishd`` with these words, which is content."""
+    """Run a command of ``polishd``, which must succeed, and return its output."""
     command = [sys.executable, "-m", "polishd", *map(str, words)]
     said = subprocess.run(command, check=False, capture_output=True, timeout=SOON_S)
     assert said.returncode == 0, said.stderr.decode()
 
 
 def write_map(files: DemoFiles) -> Path:
-    """A map of the simulated part off the middle of its frame."""
+    """Write a map of the simulated part that lies off the center of its frame."""
     plant = load_simulator(files.sim).plant
     seen = np.pad(plant_part.make(plant, 3).map_nm(), ((6, 3), (2, 8)), constant_values=np.nan)
     path = files.out / "before.dat"
@@ -84,10 +84,10 @@ def test_it_is_planned_by_its_outline(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(metric & ~outline.contains(*grid.axes_mm, edge), np.zeros(grid.shape, dtype=bool))
     left_out = outline.contains(*grid.axes_mm, edge + 2 * pitch) & ~metric
     assert not left_out.any()
-    told = json.loads((out / "summary.json").read_text())
-    (cycle,) = told["cycles"]
+    planned = json.loads((out / "summary.json").read_text())
+    (cycle,) = planned["cycles"]
     assert cycle["predicted_rms_nm"] < 0.5 * cycle["rms_nm"]
-    assert not [note for note in told["notes"] if "on the part" in note or "check will refuse" in note]
+    assert not [note for note in planned["notes"] if "on the part" in note or "check will refuse" in note]
 
 
 @pytest.mark.full
@@ -97,8 +97,8 @@ def test_it_is_polished_to_its_tolerance(tmp_path: Path) -> None:
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
         with Daemon(files, "--no-hold") as daemon:
             assert daemon.wait() == 0, daemon.output.read_text()
-        told = summary(files)
-        assert told["outcome"] == "in_tolerance"
-        assert told["outline"] == "a rectangle of 40 x 24 mm"
+        end = summary(files)
+        assert end["outcome"] == "in_tolerance"
+        assert end["outline"] == "a rectangle of 40 x 24 mm"
         assert (files.run_dir / "cycle-00" / "touch_off.json").exists()
-        assert told["cycles"][-1]["rms_nm"] == pytest.approx(events(files, "measured")[-1]["true_rms_nm"], abs=0.4)
+        assert end["cycles"][-1]["rms_nm"] == pytest.approx(events(files, "measured")[-1]["true_rms_nm"], abs=0.4)

@@ -1,4 +1,4 @@
-"""A night in a simulated cell: the spindle dies, the mail server is down, and somebody hears of it all the same."""
+"""A simulated cell at night: the spindle fails, the mail server is down, and the notifications still arrive."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ pytestmark = pytest.mark.system
 SECRET = "hunter2-and-more"
 
 
-def tell(files: DemoFiles, mail_port: int, url: str) -> None:
-    """The cell's people."""
+def add_notifiers(files: DemoFiles, mail_port: int, url: str) -> None:
+    """Add notifiers to the cell file."""
     (files.out / "secret").write_text(SECRET)
     (files.out / "secret").chmod(0o600)
     text = files.cell.read_text()
@@ -51,25 +51,25 @@ def test_a_spindle_that_dies_at_night_is_heard_of(tmp_path: Path) -> None:
     with mail_server() as server:
         port = server.port
     with web_server() as hook, small_cell(tmp_path / "cell", seed=4) as files:
-        tell(files, port, hook.url)
+        add_notifiers(files, port, hook.url)
         with Daemon(files) as daemon:
             daemon.wait_in_contact()
             os.kill(json.loads((files.sim_dir / "pids.json").read_text())["spindle"], signal.SIGKILL)
             assert daemon.wait() == 5
-        told = hook.wait()
+        message = hook.wait()
         ending = json.loads((files.state_dir / "ending.json").read_text())
-        assert (told["event"], told["severity"]) == ("daemon_failed", "alarm")
-        assert told["what"] == f"failed: {ending['reason']}"
-        assert told["todo"] == ending["next"].replace("CELL.toml", str(files.cell))
-        assert "tool off the part: yes" in told["now"]
+        assert (message["event"], message["severity"]) == ("daemon_failed", "alarm")
+        assert message["what"] == f"failed: {ending['reason']}"
+        assert message["todo"] == ending["next"].replace("CELL.toml", str(files.cell))
+        assert "tool off the part: yes" in message["now"]
         other = hook.wait()
         assert (other["event"], other["severity"]) == ("notification_failed", "warning")
         with (
             mail_server(port) as server,
             Daemon(files) as daemon,
-        ):  # somebody starts it again: the spindle is still dead
+        ):  # the operator starts it again: the spindle is still dead
             mail = server.wait()
-            assert " ".join(mail["Subject"].split()) == told["title"]
+            assert " ".join(mail["Subject"].split()) == message["title"]
             assert daemon.wait() == 5
     for path in (tmp_path / "cell").rglob("*"):
         if path.is_file() and path.name != "secret":
@@ -78,17 +78,17 @@ def test_a_spindle_that_dies_at_night_is_heard_of(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_a_refused_map_is_heard_of_at_once_and_stands_in_the_status(tmp_path: Path) -> None:
-    """The instrument is silent, and somebody drops the map of the part before."""
+    """The instrument is silent, and the map of the previous part is dropped into its folder."""
     with web_server() as hook, small_cell(tmp_path / "cell", seed=4) as files:
         os.kill(json.loads((files.sim_dir / "pids.json").read_text())["interferometer"], signal.SIGKILL)
-        tell(files, 9, hook.url)
+        add_notifiers(files, 9, hook.url)
         with Daemon(files) as daemon:
             daemon.wait_for_state("polishing")
             (files.sim_dir / "maps" / "before.dat").write_bytes(dat(1, part="THE-PART-BEFORE"))
-            told = hook.wait()
-            assert (told["event"], told["severity"]) == ("map_refused", "warning")
-            assert "map before.dat refused: WrongPart: it shows part 'THE-PART-BEFORE'" in told["what"]
-            assert "Measure part" in told["todo"]
+            message = hook.wait()
+            assert (message["event"], message["severity"]) == ("map_refused", "warning")
+            assert "map before.dat refused: WrongPart: it shows part 'THE-PART-BEFORE'" in message["what"]
+            assert "Measure part" in message["todo"]
             command = [sys.executable, "-m", "polishd.cli.app", "status", str(files.cell)]
             said = subprocess.run(
                 command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"}

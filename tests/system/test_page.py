@@ -1,4 +1,4 @@
-"""The page in a browser, over a cell whose time stands still: its layouts, orders, keys, sound and themes."""
+"""The page in a browser, for a cell that does not change: its layouts, commands, keys, sound and themes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def opened(tmp_path: Path, request: pytest.FixtureRequest) -> Open:
 
 
 def orders(server: FrozenServer) -> list[str]:
-    """What the daemon was ordered."""
+    """Commands that the daemon received."""
     assert server.daemon is not None
     return [verb for verb, args in server.daemon.asked if "by" in args]
 

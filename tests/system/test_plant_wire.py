@@ -1,4 +1,4 @@
-"""A device of somebody else's beside polishd's simulated ones, written from docs/protocols/plant.md alone."""
+"""A third-party device next to polishd's simulated ones, written from docs/protocols/plant.md alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONFIG = SMALL + "home = [0.0, 0.0, 0.0, 15.0, 0.0]\n"
 
 
 class Attached:
-    """An actuator on the plant's socket."""
+    """Actuator on the plant's socket."""
 
     def __init__(self, state: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
@@ -48,13 +48,13 @@ def test_it_takes_the_place_of_one_that_is_not_started(tmp_path: Path) -> None:
         mine.say(event="boot", t=began_s)
         mine.say(event="engage", t=began_s)
         mine.say(samples=[[began_s, 0.0], [began_s + 0.1, 8.0]], mark=began_s + 0.5)
-        assert [event["event"] for event in told(running, "engage", "boot")] == ["boot", "engage"]
+        assert [event["event"] for event in logged(running, "engage", "boot")] == ["boot", "engage"]
         mine.socket.close()
-        assert told(running, "lost")[-1]["device"] == "actuator"
+        assert logged(running, "lost")[-1]["device"] == "actuator"
 
 
-def told(running: Any, *names: str) -> list[dict[str, Any]]:
-    """The witness's own words, once it has said the last of them of the actuator."""
+def logged(running: Any, *names: str) -> list[dict[str, Any]]:
+    """Wait until the log has the last of these events of the actuator, and return the events."""
 
     def found() -> list[dict[str, Any]]:
         events = [event for event in running.log() if event["event"] in names and event["device"] == "actuator"]

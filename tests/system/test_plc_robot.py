@@ -1,4 +1,4 @@
-"""The whole simulated cell with a robot whose controller loads files: what happens when it is held."""
+"""The whole simulated cell with a robot whose controller loads program files: the effects of a hold."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.system
 
 @pytest.mark.full
 def test_a_feed_hold_in_contact_takes_the_tool_off_and_nothing_goes_on_by_itself(tmp_path: Path) -> None:
-    """And the seat is proved before, as with any robot."""
+    """The part's seat is checked before, as with any robot."""
     files = write_files(tmp_path / "cell", "opcua", 30.0, touch_off=True, tolerance_nm=0.01, max_cycles=1)
     with running(files, 4.0), Daemon(files) as daemon:
         daemon.wait_in_contact(60)
@@ -43,7 +43,7 @@ def test_a_feed_hold_in_contact_takes_the_tool_off_and_nothing_goes_on_by_itself
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["opcua", "ads"])
 def test_a_daemon_that_is_killed_takes_no_block_as_not_executed(tmp_path: Path, kind: str) -> None:
-    """The controller remembers nothing for the next one: all that the tool can have touched meanwhile is uncertain."""
+    """The controller keeps no history for the next client: all that the tool may have touched is uncertain."""
     files = write_files(tmp_path / "cell", kind, 30.0, tolerance_nm=0.01, max_cycles=1)
     with running(files, 4.0):
         with Daemon(files) as daemon:
@@ -59,19 +59,19 @@ def test_a_daemon_that_is_killed_takes_no_block_as_not_executed(tmp_path: Path, 
     assert "estimated: the robot has no record of this pass" in said
     (one,) = passes(files.state_dir / "journal.sqlite")
     assert one.uncertain.size > 0
-    assert one.uncertain[0] == np.flatnonzero(one.run_s)[-1] + 1, "the first one that nobody was told of"
+    assert one.uncertain[0] == np.flatnonzero(one.run_s)[-1] + 1, "the first block without a report"
 
 
 BEAT = "controller_heartbeat"
 LONG = 60_000
 """Lines of a program for 200 mm."""
 TURN_S = 0.5
-"""Of the 1.5 s for which the shipped profiles let a heartbeat stand still."""
+"""Share of the 1.5 s for which the shipped profiles allow a heartbeat not to change."""
 
 
 @pytest.mark.full
 def test_a_controller_that_loads_a_long_program_goes_on_answering(tmp_path: Path) -> None:
-    """Its cycle, its heartbeat and its server share one loop: by its own account no turn of it was long."""
+    """Cycle, heartbeat and server share one loop, which measures that none of its turns was long."""
     files = write_files(tmp_path / "cell", "opcua", 30.0)
     lines = ["G90 G94 G21", *(f"G1 X{k % 200 / 10:.3f} Y{k // 200 / 10:.3f} Z60 F600" for k in range(LONG - 1))]
     with running(files, 1.0):
@@ -86,7 +86,7 @@ def test_a_controller_that_loads_a_long_program_goes_on_answering(tmp_path: Path
 
 
 async def load(endpoint: str, program: str) -> list[int]:
-    """Order it; what the heartbeat was at each look until it is loaded."""
+    """Request the program and return the heartbeat at each reading until it is loaded."""
     beats: list[int] = []
     async with Client(endpoint) as client:
         index = await client.get_namespace_index(NAMESPACE)

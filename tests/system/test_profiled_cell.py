@@ -1,4 +1,4 @@
-"""A cell whose actuator and spindle are profiles: a whole job, and what ``polishd probe`` says of a wrong wire."""
+"""A cell whose actuator and spindle are profiles: a whole job, and the report of ``polishd probe`` for a wrong wire."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ watchdog_s = 6.0
 
 
 def with_section(text: str, name: str, section: str) -> str:
-    """The TOML text with another table of that name."""
+    """Return the TOML text with the table of that name replaced."""
     changed, count = re.subn(rf"^\[{name}\]\n(?:(?!\[).*\n)*", section + "\n", text, flags=re.MULTILINE)
     assert count == 1
     return changed
 
 
 def profiled_files(out: Path) -> DemoFiles:
-    """The files of such a cell."""
+    """Write the files of such a cell."""
     files = write_small(out, **ONE_PASS)
     cell = files.cell.read_text()
     cell = with_section(with_section(cell, "actuator", ACTUATOR), "spindle", SPINDLE)
@@ -56,7 +56,7 @@ def profiled_files(out: Path) -> DemoFiles:
 
 @contextmanager
 def profiled_cell(out: Path) -> Iterator[DemoFiles]:
-    """A running simulator, and the cell's files."""
+    """Run a simulator for the duration of the block; the cell's files."""
     files = profiled_files(out)
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3", "--speed", "40"], out / "sim.stderr"):
         yield files
@@ -95,12 +95,12 @@ def test_probe_says_what_is_wrong_in_one_line(tmp_path: Path) -> None:
             assert re.search(said, line), line
         files.cell.write_text(good)
         with serial.Serial(str(files.sim_dir / "spindle"), exclusive=True):
-            told = what_is_wrong(files)
-        assert told["spindle"].endswith("another program has the port open. End that program (lsof names it).")
+            wrong = what_is_wrong(files)
+        assert wrong["spindle"].endswith("another program has the port open. End that program (lsof names it).")
 
 
 def what_is_wrong(files: DemoFiles) -> dict[str, str]:
-    """What ``probe`` says of each device that does not answer as it should."""
+    """Return the error that ``probe`` reports for each device with a wrong answer."""
     answer = polishd("probe", files.cell, "--json")
     assert answer.returncode == 5
     errors = {name: facts["error"] for name, facts in json.loads(answer.stdout).items() if "error" in facts}

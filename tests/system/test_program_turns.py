@@ -31,7 +31,7 @@ PITCH_MM = 1.0
 
 @contextlib.contextmanager
 def two_programs(out: Path) -> Iterator[DemoFiles]:
-    """A small cell with a raster, and one between its lines."""
+    """Write a small cell with a raster, and a second one between its lines."""
     files = write_small(out, tolerance_nm=0.01, max_cycles=2)
     files.cell.write_text(with_keys(files.cell.read_text(), {"program": {"path": list(NAMES)}}))
     config = load_config(files.cell)
@@ -45,7 +45,7 @@ def two_programs(out: Path) -> Iterator[DemoFiles]:
 
 
 def lines_mm(text: bytes) -> FloatArray:
-    """Places of the lines, of which each has many points."""
+    """Return the positions of the lines, of which each has many points."""
     y, count = np.unique(np.round(RS274.read(text, "program").end_mm[:, 1], 2), return_counts=True)
     return np.asarray(y[count > 5])
 

@@ -25,31 +25,31 @@ SPEED = 40.0
 
 
 def job_text(name: str, part: str) -> str:
-    """A job that a pass or two bring into tolerance."""
+    """Return a job that one or two passes bring into tolerance."""
     return f'[job]\nid = "{name}"\ntolerance_nm = 5.0\nmax_cycles = 3\n[part]\nid = "{part}"\n'
 
 
 def write_queue_cell(out: Path, **faults: list[str]) -> DemoFiles:
-    """The small cell's files, with a loader."""
+    """Write the small cell's files with a loader."""
     files = write_small(out)
     port = free_port()
     cell = files.cell.read_text()
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(cell, {"metrology": {"timeout_s": 8.0}}))
-    told = "".join(f"{name} = {json.dumps(parts)}\n" for name, parts in faults.items())
+    keys = "".join(f"{name} = {json.dumps(parts)}\n" for name, parts in faults.items())
     with files.sim.open("a") as sim:
-        sim.write(f"\n[loader.faults]\n{told}")
+        sim.write(f"\n[loader.faults]\n{keys}")
     return files
 
 
 def polishd(*words: object) -> subprocess.CompletedProcess[str]:
-    """The command line."""
+    """Run a command of polishd."""
     command = [sys.executable, "-m", "polishd", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def add(files: DemoFiles, *jobs: tuple[str, str]) -> None:
-    """``polishd queue add``."""
+    """Run ``polishd queue add``."""
     paths = [files.out / f"{name}.toml" for name, _ in jobs]
     for path, (name, part) in zip(paths, jobs, strict=True):
         path.write_text(job_text(name, part))
@@ -58,19 +58,19 @@ def add(files: DemoFiles, *jobs: tuple[str, str]) -> None:
 
 
 def queue(files: DemoFiles) -> dict[str, dict[str, Any]]:
-    """``polishd queue list``, by name."""
+    """Return the jobs of ``polishd queue list`` by name."""
     said = polishd("queue", "list", files.cell, "--json")
     assert said.returncode == 0, said.stderr
     return {job["name"]: job for job in json.loads(said.stdout)["jobs"]}
 
 
 def states(files: DemoFiles) -> dict[str, str]:
-    """Of the jobs, as the daemon tells them."""
+    """Return the states of the jobs from the daemon."""
     return {job["name"]: job["state"] for job in client.request(files.state_dir, "queue_list")["jobs"]}
 
 
 def journal(files: DemoFiles, sql: str) -> list[tuple[Any, ...]]:
-    """What the journal's file says."""
+    """Return the rows of a query to the journal file."""
     with contextlib.closing(sqlite3.connect(files.state_dir / "journal.sqlite")) as connection:
         return connection.execute(sql).fetchall()
 

@@ -1,4 +1,4 @@
-"""What passes on a cell's wires is recorded, and its devices' ends are played again for the drivers as they are."""
+"""The traffic of a cell's wires is recorded, and the devices' side is replayed for the current drivers."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from tests.system.cell_rig import PATIENT, write_small
 pytestmark = [pytest.mark.system]
 
 ACTUATOR, SPINDLE = ({"address": "{endpoint}", **PATIENT[role]} for role in ("actuator", "spindle"))
-"""As in the cell's file."""
+"""Part id of the cell file."""
 
 
 @pytest.fixture(scope="module")
 def probed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The recording of a simulated cell's probe, and what that said."""
+    """Record a probe of a simulated cell; return the recording and the probe's report."""
     files = write_small(tmp_path_factory.mktemp("cell") / "cell")
     case = files.cell.parent / "case.wire.jsonl.gz"
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "3"], files.cell.parent / "sim.stderr"):
@@ -95,10 +95,10 @@ def test_the_file_names_devices_links_and_ends(probed: tuple[Path, dict[str, Any
 
 @pytest.mark.full
 def test_the_links_are_shown(probed: tuple[Path, dict[str, Any]]) -> None:
-    told = json.loads(polishd("recording", "show", probed[0], "--json"))
-    links = {link["device"]: link for link in told["links"]}
+    shown = json.loads(polishd("recording", "show", probed[0], "--json"))
+    links = {link["device"]: link for link in shown["links"]}
     assert set(links) == {"actuator", "robot", "spindle"}
-    assert told["missing"] == []
+    assert shown["missing"] == []
     for link in links.values():
         assert link["out"] <= link["bytes_out"]
         assert 0 < link["in"] <= link["bytes_in"]

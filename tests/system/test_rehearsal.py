@@ -1,4 +1,4 @@
-"""A whole job, rehearsed: ``polishd rehearse`` a cell, then ``polishd run`` on the file that it wrote."""
+"""Rehearse a whole job: ``polishd rehearse`` of a cell, then ``polishd run`` with the file that it wrote."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from tests.system.test_daemon import require_safe_order
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 MEASURED_AT = 0.87
-"""Gamma where the spot was measured."""
+"""Gamma at which the spot was measured."""
 Maker = Callable[[Path], DemoFiles]
 
 
 def lens(out: Path) -> DemoFiles:
-    """The demo's cell with a small lens in the place of its flat, another tool, and a spot that was measured."""
+    """Write the demo's cell with a small lens instead of its flat, another tool, and a measured spot."""
     files = write_small(out, tolerance_nm=4.0, max_cycles=3)
     part = {"id": "LENS-7", "aperture_mm": 24.0, "curvature_radius_mm": 150.0, "conic": -1.0}
     process = {"tool_radius_mm": 25.0, "preston": "2.2e-9 cm2/N", "removal_model": "measured_tif", "tif": "spot.npz"}
@@ -41,7 +41,7 @@ def lens(out: Path) -> DemoFiles:
 
 
 def write_spot(path: Path) -> None:
-    """A spot as a bonnet of 25 mm leaves it, its spindle leaning upwards in the map."""
+    """Return the spot of a 25 mm bonnet whose spindle leans upwards in the map."""
     process = ToolProcess(tool_radius_mm=25.0, preston_cm2_per_n=2.2e-9)
     at = (np.arange(49) - 24) * 0.1
     depth = MEASURED_AT * contact.hertz_depth_mm(process)
@@ -50,47 +50,47 @@ def write_spot(path: Path) -> None:
 
 
 def loads_files(out: Path) -> DemoFiles:
-    """A controller that loads files, over OPC UA."""
+    """Write the cell with a controller that loads files, over OPC UA."""
     return plc_robot_rig.write_files(out, "opcua", 20.0, tolerance_nm=8.0, max_cycles=3)
 
 
 def arm(out: Path) -> DemoFiles:
-    """A Universal Robots arm."""
+    """Write the cell with a Universal Robots arm."""
     return universal_robots_rig.write_files(out, tolerance_nm=40.0, max_cycles=3)
 
 
 def abb(out: Path) -> DemoFiles:
-    """An ABB controller with RobotWare 7."""
+    """Write the cell with an ABB controller with RobotWare 7."""
     return abb_rig.write_files(out, version="2.0", tolerance_nm=40.0, max_cycles=3)
 
 
 def kuka(out: Path) -> DemoFiles:
-    """A KUKA arm."""
+    """Write the cell with a KUKA arm."""
     return kuka_rig.write_files(out, tolerance_nm=40.0, max_cycles=3)
 
 
 def yaskawa(out: Path) -> DemoFiles:
-    """A Yaskawa controller: INFORM jobs, each move with its wait."""
+    """Write the cell with a Yaskawa controller: INFORM jobs, each move with its wait."""
     return plc_robot_rig.write_language_cell(out, "inform", "dwell", tolerance_nm=40.0, max_cycles=3)
 
 
 def yaskawa_hses(out: Path) -> DemoFiles:
-    """The same over the controller's own High-Speed Ethernet Server, which carries no clock: in real time."""
+    """Write the cell with a Yaskawa controller over HSES, which has no clock: it runs in real time."""
     return plc_robot_rig.write_language_cell(out, "inform over hses", "dwell", tolerance_nm=40.0, max_cycles=3)
 
 
 def staubli(out: Path) -> DemoFiles:
-    """A Staubli controller: VAL3 programs with speeds."""
+    """Write the cell with a Staubli controller: VAL3 programs with speeds."""
     return plc_robot_rig.write_language_cell(out, "val3", "feed", tolerance_nm=40.0, max_cycles=3)
 
 
 SPEEDS: dict[Maker, tuple[str, ...]] = {lens: ("--speed", "10")}
-"""Where not the usual one."""
+"""Options for cells that do not run at the usual speed."""
 
 
 @contextlib.contextmanager
 def rehearsed(cell: Path, *options: str) -> Iterator[DemoFiles]:
-    """The rehearsal of a cell, its simulator running."""
+    """Rehearse a cell and run its simulator for the duration of the block."""
     command = [sys.executable, "-m", "polishd", "rehearse", str(cell), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
         try:
@@ -114,10 +114,10 @@ def test_a_job_is_rehearsed_to_its_tolerance_and_the_real_cell_stays_as_it_was(t
         with Daemon(files, "--no-hold") as daemon:
             assert daemon.wait() == 0, daemon.output.read_text()
         require_safe_order(events(files))
-    told = summary(files)
-    assert told["outcome"] == "in_tolerance"
+    end = summary(files)
+    assert end["outcome"] == "in_tolerance"
     true_nm = events(files, "measured")[-1]["true_rms_nm"]
-    assert told["cycles"][-1]["rms_nm"] == pytest.approx(true_nm, abs=0.4)
+    assert end["cycles"][-1]["rms_nm"] == pytest.approx(true_nm, abs=0.4)
     assert {path: path.read_bytes() for path in before} == before
     assert not real.state_dir.exists()
     assert not real.run_dir.exists()

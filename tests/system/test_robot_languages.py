@@ -1,4 +1,4 @@
-"""One pass of the simulated cell in a robot's own language, on a controller that loads files."""
+"""One pass of the simulated cell in the language of a robot, on a controller that loads files."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tests.system.test_kuka_kvp import robot_pid
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 FAR = 320
-"""Lines of the file: its head and the approach, and some of the pass."""
+"""Number of lines of the file that are compared: head, approach and some of the pass."""
 ONE_PASS = {"tolerance_nm": 50.0, "max_cycles": 1}
-"""Of 100 nm that the part begins with."""
+"""Permitted RMS after the pass, of 100 nm before it."""
 
 
 def require_agreement_of_points(files: DemoFiles) -> None:
-    """What the journal says of a point, a move and its wait, is what the plant saw.
+    """The journal's time of a point, a move and its wait, agrees with the plant's.
 
     The controller says when each line began. Only points that end between two reports share their time by the plan.
     """

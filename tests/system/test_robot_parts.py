@@ -1,4 +1,4 @@
-"""What a cell does beside a pass, on the controllers of the makers: touch-off, first touch, a queue of parts.
+"""Functions beside a pass on the controllers of robot makers: touch-off, first touch, a queue of parts.
 
 KUKA: test_kuka_parts.py.
 """
@@ -25,21 +25,21 @@ from tests.system.test_queue import polishd, queue
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(6 * SOON_S)]
 
 RIM_MM = 2.0
-"""Wide enough for the tool to rest on it."""
+"""Width of the rim on which the tool rests."""
 WITNESS = {"aperture_mm": 30.0, "edge_mm": 1.0}
-"""Wide enough for the tracks of a first touch."""
+"""Part that is wide enough for the tracks of a first touch."""
 TOLERANCE_NM = 60.0
-"""Of 100 nm, on FANUC 30 nm of 60 nm, that a part begins with: a pass or two."""
+"""RMS that one or two passes reach from 100 nm, on FANUC from 60 nm."""
 
 
 @dataclass(frozen=True)
 class Maker:
-    """A controller, with a small part and a program in its language."""
+    """Controller with a small part and a program in its language."""
 
     write: Callable[..., DemoFiles]
     program: Callable[[CellConfig], bytes]
     speed: float = 4.0
-    """Of the simulated cell; 1: in real time."""
+    """Speed of the simulated cell; 1: real time."""
     part_mm: float = 14.0
     tolerance_nm: float = TOLERANCE_NM
 
@@ -56,7 +56,7 @@ PROMPT: Sections = {
 
 
 def fanuc(out: Path, **job: Any) -> DemoFiles:
-    """With an actuator that lifts within 2 s: 8 instructions are then short enough to correct a part."""
+    """Return a cell whose actuator lifts within 2 s: 8 instructions are then short enough to correct a part."""
     files = fanuc_rmi_rig.write_files(out, **job)
     files.cell.write_text(with_keys(files.cell.read_text(), PROMPT))
     return files
@@ -83,7 +83,7 @@ def maker(request: pytest.FixtureRequest) -> Maker:
 
 
 def test_a_queue_touches_each_part_off_and_polishes_one_after_the_other(tmp_path: Path, maker: Maker) -> None:
-    """The programs of a touch-off are in the robot's language, for the tool and frame of the part's own."""
+    """The programs of a touch-off are in the robot's language, with the tool and frame of the part program."""
     job = {"tolerance_nm": maker.tolerance_nm, "max_cycles": 3}
     files = maker.write(tmp_path / "cell", touch_off=True, **job)
     with_part(files, {"aperture_mm": maker.part_mm, "edge_mm": RIM_MM}, maker.program)

@@ -1,4 +1,4 @@
-"""The seat of a part on a simulated cell: proved before contact, and nothing polished where it is wrong."""
+"""The seat of a part on a simulated cell: checked before contact, and nothing is polished where it is wrong."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.system
 
 @contextlib.contextmanager
 def seated(out: Path, speed: float = 20.0, **seat: Any) -> Iterator[DemoFiles]:
-    """A small cell that proves its part's seat, and how that part truly sits."""
+    """Run a small cell that checks its part's seat, with the true seat of the simulated part."""
     files = write_small(out, touch_off=True, **ONE_PASS)
     files.sim.write_text(with_keys(files.sim.read_text(), {"plant": seat}))
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
@@ -31,13 +31,13 @@ def seated(out: Path, speed: float = 20.0, **seat: Any) -> Iterator[DemoFiles]:
 
 
 def require_only_touched(files: DemoFiles) -> dict[str, Any]:
-    """The plant's own account: no contact in motion, none with spin, none with more than 1 N; nothing removed."""
-    told = account(files)
-    assert not any(any(program["contact_s"]) for program in told["programs"])
-    assert all(stand["most_n"] <= 1.0 and stand["most_rpm"] == 0.0 for stand in told["stands"]), told["stands"]
+    """Require from the plant's record: no contact in motion, with spin or above 1 N; nothing removed. Return it."""
+    record = account(files)
+    assert not any(any(program["contact_s"]) for program in record["programs"])
+    assert all(stand["most_n"] <= 1.0 and stand["most_rpm"] == 0.0 for stand in record["stands"]), record["stands"]
     assert not events(files, "spindle_ramping", "spindle_at_speed")
-    assert told["rms_nm"] == pytest.approx(events(files, "boot")[0]["true_rms_nm"], abs=1e-9)
-    return told
+    assert record["rms_nm"] == pytest.approx(events(files, "boot")[0]["true_rms_nm"], abs=1e-9)
+    return record
 
 
 @pytest.mark.full
@@ -58,8 +58,8 @@ def test_a_part_that_does_not_sit_right_is_not_polished(
             assert daemon.wait() == 11, daemon.output.read_text()
         wait_for((files.sim_dir / "dwell_account.json").exists, "the account")
         assert len(events(files, "engage")) == places
-    told = require_only_touched(files)
-    assert len(told["stands"]) == places or "no part" in said, "a part that is too low may be touched, or not"
+    record = require_only_touched(files)
+    assert len(record["stands"]) == places or "no part" in said, "a part that is too low may be touched, or not"
     end = summary(files)
     assert (end["outcome"], end["tool_off"], end["robot_at_rest"]) == ("failed", "yes", "yes")
     (cause,) = end["causes"]
@@ -70,7 +70,7 @@ def test_a_part_that_does_not_sit_right_is_not_polished(
 
 @pytest.mark.full
 def test_a_part_that_is_seated_anew_is_polished(tmp_path: Path) -> None:
-    """The person is told, seats it, and resumes: measured and proved again, and then polished."""
+    """The operator gets a notification, reseats the part and resumes: it is measured, checked and polished."""
     with seated(tmp_path / "cell", seat_height_mm=0.2) as files:
         cell = files.cell.read_text()
         files.cell.write_text(with_keys(cell, {"touch_off": {"max_offset_mm": 0.1}}))

@@ -34,7 +34,7 @@ TOUCH, LEAVE = 3, len(RASTER) - 2
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    """One cell for the tests that leave it as they found it."""
+    """Run one cell for all tests that do not change it."""
     with cell(tmp_path_factory.mktemp("cell"), SMALL, "--seed", "5", "--speed", "20") as running:
         yield running
 
@@ -84,7 +84,7 @@ def test_the_line_is_as_slow_as_its_baud_rate(shared: Cell) -> None:
 
 
 @pytest.mark.full
-def test_the_spindle_runs_while_it_is_told_to(shared: Cell) -> None:
+def test_the_spindle_runs_while_it_is_commanded(shared: Cell) -> None:
     spindle = shared.spindle()
     try:
         spindle.write(0x1017, 100, 2)
@@ -271,16 +271,16 @@ def test_other_protocols(tmp_path: Path) -> None:
             while b"43181004" not in got.replace(b" ", b"") or not got.endswith(b">"):
                 got += bus.recv(4096)
             assert b"43181004b40f0000" in got.replace(b" ", b"").lower()
-            while b"frame 705" not in got:  # the heartbeat, which the whole bus hears
+            while b"frame 705" not in got:  # the heartbeat, which all clients of the bus receive
                 got += bus.recv(4096)
             with socket.create_connection((host, int(port)), timeout=SOON_S) as newcomer:
-                heard, beats = b"", got.count(b"frame 705")
+                received, beats = b"", got.count(b"frame 705")
                 while got.count(b"frame 705") < beats + 3:
                     got += bus.recv(4096)
                 newcomer.sendall(b"< open can0 >")
-                while not heard.endswith(b"< ok >"):
-                    heard += newcomer.recv(4096)
-            assert heard == b"< hi >< ok >", "who has not opened the bus in raw mode hears nothing of it"
+                while not received.endswith(b"< ok >"):
+                    received += newcomer.recv(4096)
+            assert received == b"< hi >< ok >", "a client receives frames only in raw mode"
 
 
 @pytest.mark.full
@@ -303,7 +303,7 @@ def test_sigterm_ends_everything_and_leaves_the_account(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_nobody_outlives_a_killed_supervisor(tmp_path: Path) -> None:
+def test_no_process_outlives_a_killed_supervisor(tmp_path: Path) -> None:
     with cell(tmp_path) as running:
         pids = running.pids
         running.process.kill()
@@ -312,7 +312,7 @@ def test_nobody_outlives_a_killed_supervisor(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_nobody_outlives_the_parent(tmp_path: Path) -> None:
+def test_no_process_outlives_the_parent(tmp_path: Path) -> None:
     (tmp_path / "sim.toml").write_text(SMALL)
     command = [sys.executable, "-m", "polishd.sim_backends", str(tmp_path / "sim.toml")]
     script = f"import subprocess; p = subprocess.Popen({command!r}, stdout=-1); p.stdout.readline()"

@@ -1,4 +1,4 @@
-"""What the simulated interferometer and its folder do, and what faults do to the wires."""
+"""The simulated interferometer and its folder, and the effect of faults on the wires."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_an_unreadable_surface_starts_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_blocks_arrive_once_and_in_order_through_a_bad_line(tmp_path: Path) -> None:
-    """Damage, loss and disconnects on the robot's side; the writer asks for status and sends again from there."""
+    """Damage, loss and disconnects on the robot's side; the writer requests the status and sends again from there."""
     robot = '\n[[fault]]\ndevice = "robot"\n'
     faults = f'{robot}what = "garble"\nrate = 0.02\n{robot}what = "drop"\nrate = 0.02\n'
     faults += f'{robot}what = "unplug"\nevery_s = 0.3\n'
@@ -186,7 +186,7 @@ def test_a_device_may_lose_power_by_itself(tmp_path: Path) -> None:
 
 
 def connected(running: Cell) -> RobotClient | None:
-    """A connection, once the robot listens again."""
+    """Wait until the robot listens again and return a connection."""
     try:
         return running.robot()
     except ConnectionError:

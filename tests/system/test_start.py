@@ -1,4 +1,4 @@
-"""Starts that find something else than they left: a robot that serves somebody else, a run folder that is gone."""
+"""Starts after an external change: a robot that serves another client, a run folder that was deleted."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def test_a_pass_that_was_killed_goes_on_though_its_run_folder_was_deleted(tmp_pa
 
 
 @pytest.mark.full
-def test_a_robot_that_still_serves_somebody_is_waited_for_and_status_says_so(tmp_path: Path) -> None:
-    """Its watchdog is long: the lease goes when the other client hangs up, not because this machine is slow."""
+def test_a_robot_that_serves_another_client_is_waited_for_and_status_says_so(tmp_path: Path) -> None:
+    """The watchdog is long: the lease ends when the other client disconnects, not because this machine is slow."""
     files = write_small(tmp_path / "cell")
     files.cell.write_text(with_keys(files.cell.read_text(), {"robot": {"watchdog_s": 120.0}}))
     with simulated_cell(files.sim, ["--state", str(files.sim_dir), "--seed", "2"], files.out / "sim.stderr"):

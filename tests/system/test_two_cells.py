@@ -1,4 +1,4 @@
-"""One daemon process, two simulated cells: two parts are polished at once, and nothing of one is in the other."""
+"""One daemon process with two simulated cells polishes two parts at once and keeps their data separate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.system, pytest.mark.full, pytest.mark.timeout(400)]
 
 
 def two_cells(stack: ExitStack, tmp_path: Path, speed: float) -> list[DemoFiles]:
-    """Each with a simulator, a name and a seed of its own."""
+    """Run two cells, each with its simulator, name and seed."""
     found = []
     for seed, name in ((3, "left-cell"), (2, "right-cell")):
         files = stack.enter_context(small_cell(tmp_path / name, seed=seed, speed=speed, id=name))
@@ -31,13 +31,13 @@ def two_cells(stack: ExitStack, tmp_path: Path, speed: float) -> list[DemoFiles]
 
 
 def contact_begun(files: DemoFiles) -> bool:
-    """The tool presses now."""
+    """Return whether the tool presses now."""
     log = events(files, "force_on", "tool_lifted")
     return bool(log) and log[-1]["event"] == "force_on"
 
 
 def contact_spans(files: DemoFiles) -> list[tuple[float, float]]:
-    """From force on to tool lifted, on the machine's monotonic clock."""
+    """Return the time from force on to tool lifted, on the machine's monotonic clock."""
     on = [event["mono_s"] for event in events(files, "force_on")]
     off = [event["mono_s"] for event in events(files, "tool_lifted")]
     return list(zip(on, off, strict=False))
@@ -54,8 +54,8 @@ def test_two_parts_at_once_in_one_process(tmp_path: Path) -> None:
         spans = [(a, b) for a in contact_spans(left) for b in contact_spans(right)]
         assert any(a[0] < b[1] and b[0] < a[1] for a, b in spans), f"both tools press at the same time: {spans}"
     said = daemon.output.read_text().splitlines()
-    told = json.loads(next(line for line in said if line.startswith("{")))
-    assert {name: end["outcome"] for name, end in told["cells"].items()} == dict.fromkeys(
+    result = json.loads(next(line for line in said if line.startswith("{")))
+    assert {name: end["outcome"] for name, end in result["cells"].items()} == dict.fromkeys(
         ("left-cell", "right-cell"), "in_tolerance"
     )
     for files, name, other in ((left, "left-cell", "right-cell"), (right, "right-cell", "left-cell")):
@@ -81,8 +81,8 @@ def test_one_that_dies_in_contact_leaves_the_other_polishing_until_a_signal_stop
             assert daemon.end() in {5, 7}, daemon.output.read_text()
         require_safe_order(events(right))
     said = daemon.output.read_text()
-    told = json.loads(next(line for line in said.splitlines() if line.startswith("{")))
-    assert {name: end["outcome"] for name, end in told["cells"].items()} == {
+    result = json.loads(next(line for line in said.splitlines() if line.startswith("{")))
+    assert {name: end["outcome"] for name, end in result["cells"].items()} == {
         "left-cell": "failed", "right-cell": "stopped"
     }  # fmt: skip
     assert "left-cell: next: the daemon has ended; correct the cause" in said.replace("\n", " ")
@@ -90,12 +90,12 @@ def test_one_that_dies_in_contact_leaves_the_other_polishing_until_a_signal_stop
 
 
 def section(files: DemoFiles, port: str) -> str:
-    """The lines of a device's section, its own header excepted."""
+    """Return the lines of a device's section without its header."""
     return files.cell.read_text().split(f"[{port}]", 1)[1].split("\n", 1)[1].split("\n[", 1)[0] + "\n"
 
 
 def test_a_cell_with_two_robots_polishes_with_those_of_its_roles(tmp_path: Path) -> None:
-    """Both robots with their tools are opened, watched and named; the job moves the right one's and no other."""
+    """Both robots with their tools are opened, monitored and named; the job moves the right robot only."""
     with ExitStack() as stack:
         left, right = two_cells(stack, tmp_path, speed=40.0)
         text = right.cell.read_text()

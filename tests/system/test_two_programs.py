@@ -25,14 +25,14 @@ def polishd(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def copied(files: DemoFiles) -> Path:
-    """The same cell with a state folder of its own, as somebody makes it to try something."""
+    """Write the same cell with another state folder, as for a trial."""
     copy = files.cell.with_name("copy.toml")
     copy.write_text(with_keys(files.cell.read_text(), {"cell": {"state_dir": "another state", "name": "copy"}}))
     return copy
 
 
 def require_refused(done: subprocess.CompletedProcess[str], daemon: Daemon) -> None:
-    """The message names the daemon's process and cell."""
+    """Require that the message names the daemon's process and cell."""
     said = " ".join((done.stderr + done.stdout).split())
     assert done.returncode != 0, said
     assert "another program uses this device" in said, said
@@ -41,7 +41,7 @@ def require_refused(done: subprocess.CompletedProcess[str], daemon: Daemon) -> N
 
 
 def require_undisturbed(files: DemoFiles, daemon: Daemon, before: int) -> None:
-    """Nothing connected, nothing was held, and the tool is still on the part."""
+    """Require that nothing connected, nothing was held, and the tool is still on the part."""
     since = [event["event"] for event in events(files)[before:]]
     assert not {"client", "force_zero", "tool_lifted", "retracted", "motion_stopped", "hold"} & set(since), since
     assert daemon.process.poll() is None, daemon.output.read_text()
@@ -58,9 +58,9 @@ def test_probe_with_a_copy_of_the_cell_leaves_a_pass_alone(tmp_path: Path) -> No
             done = polishd("probe", copy, "--json")
             require_refused(done, daemon)
             require_undisturbed(files, daemon, before)
-            told = json.loads(done.stdout)
-            assert set(told) == {"actuator", "robot", "spindle", "metrology"}
-            assert all("another program" in one["error"] for one in told.values()), "none is made safe by it"
+            answer = json.loads(done.stdout)
+            assert set(answer) == {"actuator", "robot", "spindle", "metrology"}
+            assert all("another program" in one["error"] for one in answer.values()), "none is made safe by it"
             assert daemon.end() == 1
         assert polishd("probe", copy).returncode == 0, "the daemon gave its claims back"
 

@@ -1,4 +1,4 @@
-"""Two tools over one part on a simulated cell: a command changes them, or a person does, and each makes its pass."""
+"""Two tools on one part in a simulated cell: a command or the operator changes them, and each makes its pass."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ import json, os, pathlib, signal, time
 
 here = pathlib.Path(__file__).parent
 sim, log = here / "sim.toml", here / "sim" / "sim.log"
-heard = log.read_text().count('"signal": "SIGHUP"')
+reloads = log.read_text().count('"signal": "SIGHUP"')
 radius_mm = {radius_mm}[os.environ["POLISHD_TOOL"]]
 sim.write_text(sim.read_text().partition("\\n[process]\\n")[0] + f"\\n[process]\\ntool_radius_mm = {{radius_mm}}\\n")
 os.kill(json.loads((here / "sim" / "pids.json").read_text())["plant"], signal.SIGHUP)
-while log.read_text().count('"signal": "SIGHUP"') == heard:
+while log.read_text().count('"signal": "SIGHUP"') == reloads:
     time.sleep(0.01)
 """
-"""Puts that tool on the simulated spindle, and waits until it is there."""
+"""Script that puts that tool on the simulated spindle and waits until it is there."""
 
 
 @contextlib.contextmanager
 def two_tools(out: Path, *, change: bool, speed: float = 20.0, **job: Any) -> Iterator[DemoFiles]:
-    """A small cell with two tools, the large one on its spindle."""
+    """Run a small cell with two tools, the large one on its spindle."""
     files = write_small(out, touch_off=True, **{"tolerance_nm": 0.01, "max_cycles": 2, **job})
     changer = files.out / "change.py"
     changer.write_text(CHANGER.format(radius_mm=RADIUS_MM))
@@ -85,7 +85,7 @@ def test_a_person_changes_the_tool_and_a_killed_daemon_asks_again(tmp_path: Path
         with Daemon(files) as daemon:
             held = daemon.wait_for_state("held")
             assert "mount the tool 'large'" in held["reason"]
-            assert not events(files, "engage"), "nothing is touched with a tool that nobody knows"
+            assert not events(files, "engage"), "nothing is touched with an unknown tool"
             client.request(files.state_dir, "resume")
             wait_for(lambda: "'small'" in daemon.status().get("reason", ""), "the second tool is asked for")
             assert daemon.end(signal.SIGKILL) == -signal.SIGKILL

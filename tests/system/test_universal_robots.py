@@ -38,7 +38,7 @@ def robot_pid(files: DemoFiles) -> int:
 
 
 def say(files: DemoFiles, port: str, *messages: bytes) -> None:
-    """As another client does."""
+    """Send a command from another client."""
     found = options(files)
     number = int(found["address"].rpartition(":")[2]) if port == "rtde" else int(found[port])
     with socket.create_connection(("127.0.0.1", number)) as client:
@@ -62,7 +62,7 @@ def another_script(files: DemoFiles) -> None:
 Happens = Callable[[DemoFiles], object]
 
 MOVES_ON: dict[str, tuple[Happens, str]] = {"slider": (slow_down, "speed slider is at 50 %")}
-"""The robot goes on meanwhile, so that it is off the part before it stands."""
+"""Events after which the robot continues, so that the tool leaves the part before the robot stops."""
 STANDS: dict[str, tuple[Happens, str]] = {
     "emergency stop": (lambda files: os.kill(robot_pid(files), signal.SIGUSR1), "switched off"),
     "pause": (lambda files: os.kill(robot_pid(files), signal.SIGUSR2), "paused at the controller"),
@@ -70,7 +70,7 @@ STANDS: dict[str, tuple[Happens, str]] = {
     "another script": (another_script, "another program"),
     "power cut": (lambda files: os.kill(robot_pid(files), signal.SIGKILL), "127.0.0.1"),
 }
-"""The robot stands by its own doing: all that is left is to take the force off at once."""
+"""Events at which the robot stops: the daemon takes the force off at once."""
 
 
 @pytest.mark.parametrize("fault", [*MOVES_ON, *STANDS])
@@ -118,12 +118,12 @@ def test_a_daemon_that_dies_is_noticed_by_the_controller_after_the_tool_is_up(tm
 
 
 LONG = 20_000
-"""Moves of a script; each is told in a line of its own."""
+"""Number of moves of a script; the controller reports each in a separate line."""
 TURN_S = 0.5
 
 
 def test_a_controller_that_reads_a_long_script_goes_on_answering(tmp_path: Path) -> None:
-    """By its own account no turn of the loop that its servers share was long."""
+    """The loop that the servers share measures that none of its turns was long."""
     moves = "\n".join(
         f"  write_output_integer_register(25, {k})\n  movel(p[{k % 100 / 1e4}, 0, 0.06, 3.14159, 0, 0], a=1, v=0.01)"
         for k in range(LONG)

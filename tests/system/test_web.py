@@ -1,4 +1,4 @@
-"""The page of a whole simulated cell in a browser: live, held, gone on with, and a daemon that is killed is seen."""
+"""The page of a whole simulated cell in a browser: live, held, resumed, and after its daemon was killed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.unit.web.served import Answers, answering
 pytestmark = [pytest.mark.system, pytest.mark.full]
 
 SEEN_S = 1.5
-"""A daemon that is killed is seen within so long, on a machine that has nothing else to do."""
+"""Time in s within which the page shows that the daemon was killed, on an idle machine."""
 FREE = {"web": {"port": 0}}
 
 
@@ -38,14 +38,14 @@ OFTEN = (
     "from polishd.cli import app as cli\nfrom polishd.web import watcher\nwatcher.LOOK_S = 0.01\ncli.main()",
     "web",
 )
-"""It tells its pages in a minute what they hear in an hour."""
+"""Program that sends as many updates in a minute as the page usually receives in an hour."""
 LOOKS = 120
-"""Of a minute."""
+"""Number of updates in a minute."""
 
 
 @contextlib.contextmanager
 def web_process(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """`polishd web` as a process: its address, and itself."""
+    """Run `polishd web` for the duration of the block; its address and process."""
     command = [sys.executable, *program, str(files.cell)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -58,7 +58,7 @@ def web_process(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[tupl
 
 @contextlib.contextmanager
 def web_of(files: DemoFiles, program: Sequence[str] = WEB) -> Iterator[str]:
-    """`polishd web` as a process; its address."""
+    """Run `polishd web` for the duration of the block; its address."""
     with web_process(files, program) as (url, _):
         yield url
 
@@ -76,7 +76,7 @@ STATE = "document.getElementById('state').dataset.state === '{}' && !document.bo
 HOLD_BECAUSE = """fetch('/api/session').then((one) => one.json()).then((session) => fetch('/api/orders/hold', {{
     method: 'POST', headers: {{ 'content-type': 'application/json', 'x-csrf-token': session.csrf }},
     body: JSON.stringify({{ reason: {!r} }}) }}))"""
-"""Hold as another page orders it, with a reason."""
+"""Script that sends a hold with a reason, as another page does."""
 
 
 @each_browser
@@ -117,7 +117,7 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
 
 
 def test_a_link_that_is_pulled_in_contact_is_seen_and_explained_at_once(tmp_path: Path) -> None:
-    """Not only once the cell is safe and held: until then the tool is still being lifted."""
+    """The page reports the hold at once, not only when the tool is lifted and the cell is held."""
     with small_cell(tmp_path / "cell", speed=5.0, tolerance_nm=0.1, max_cycles=1) as files:
         files.cell.write_text(with_keys(files.cell.read_text(), FREE))
         lost_s = tomllib.loads(files.cell.read_text())["actuator"]["silence_s"]
@@ -142,7 +142,7 @@ def test_a_link_that_is_pulled_in_contact_is_seen_and_explained_at_once(tmp_path
 
 
 def memory(page: Page) -> tuple[int, int]:
-    """Bytes that its scripts hold, and its nodes, once what is garbage is gone."""
+    """Collect garbage; return the bytes that the page's scripts use and the number of its nodes."""
     page.call("HeapProfiler.collectGarbage")
     return page.call("Runtime.getHeapUsage")["usedSize"], page.call("Memory.getDOMCounters")["nodes"]
 
@@ -152,7 +152,7 @@ def reached(daemon: Answers, looks: int) -> bool:
 
 
 def minutes(daemon: Answers, count: int) -> None:
-    """In each of them something happens."""
+    """Something changes in each of the updates."""
     for _ in range(count):
         daemon.tell({"name": "measured", "run_dir": "run"})
         upto = daemon.looks + LOOKS

@@ -59,7 +59,7 @@ SLIDE = """{ const one = document.querySelector('.m-view input[type=range]');
 
 @dataclass
 class Maps:
-    """The page of a cell with a job of two measurements."""
+    """Open the page of a cell with a job of two measurements."""
 
     page: Page
     daemon: Answers
@@ -77,7 +77,7 @@ class Maps:
         self.page.run(f"document.querySelector('.m-view input[value={value}]').click()")
 
     def changes(self, selector: str, act: Any) -> None:
-        """Do something, and wait until the picture is another one."""
+        """Do something and wait until the picture has changed."""
         before = self.page.run(INK.format(selector))
         act()
         self.page.until(f"{INK.format(selector)}.join() !== '{before[0]},{before[1]}'")

@@ -31,7 +31,7 @@ READINGS = "performance.getEntriesByType('resource').filter((one) => one.name.en
 
 @dataclass
 class Shop:
-    """A page of a shop's cell, and the daemon that its orders reach."""
+    """Page of a cell in a shop, with the daemon that receives its commands."""
 
     page: Page
     daemon: Answers
@@ -46,7 +46,7 @@ class Shop:
 
 
 def queue_of(config: CellConfig, verb: str, args: dict[str, Any]) -> None:
-    """Do with the queue what the daemon would."""
+    """Change the queue as the daemon does."""
     if verb == "queue_move":
         with Queue.at_rest(config.state_dir) as queue:
             queue.move(args["job"], args["where"], args["other"])

@@ -1,4 +1,4 @@
-"""A small simulated cell with a dwell program, on a Universal Robots controller."""
+"""Set up a small simulated cell with a dwell program on a Universal Robots controller."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ POINTS_MM = 1.0
 DWELL_S = 0.1
 FEED_MM_S = 20.0
 ACCEL_MM_S2 = 800.0
-"""As the cell's [machine] says: a script writes out what its moves accelerate with."""
+"""Acceleration of the cell's [machine], which a script contains for each move."""
 SAFE_Z_MM = 20.0
 
 
 def write_files(out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **job: Any) -> DemoFiles:
-    """The demo's files with a small part, that robot, and a program with a dwell at each point.
+    """Write the demo's files with a small part, that robot, and a program with a dwell at each point.
 
     ``cut_s``: the robot's link is cut that long after the tool lands.
     """
@@ -38,7 +38,7 @@ def write_files(out: Path, *, cut_s: float = 0.0, watchdog_s: float = 20.0, **jo
 
 
 def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0, cycle_hz: int = 125) -> None:
-    """The cell's robot becomes such a controller: a CB3, which costs less to simulate than an e-Series with 500 Hz."""
+    """Replace the cell's robot with a CB3 controller, which takes less CPU time than an e-Series with 500 Hz."""
     rtde, dashboard, primary = free_port(), free_port(), free_port()
     keys = {"address": f"tcp://127.0.0.1:{rtde}", "dashboard_port": dashboard, "primary_port": primary}
     cell = files.cell.read_text().replace('type = "robot_link"', 'type = "universal_robots"')
@@ -51,12 +51,12 @@ def take(files: DemoFiles, *, watchdog_s: float = 20.0, cut_s: float = 0.0, cycl
 
 
 def nc(config: CellConfig) -> bytes:
-    """As NC text, for another robot."""
+    """Return the points as G-code, for another robot."""
     return path_program(*own_path(config, POINTS_MM), FEED_MM_S * 60.0, "dwells", encoding="dwell", dwell_s=DWELL_S)
 
 
 def script(config: CellConfig) -> bytes:
-    """As URScript: over the first point, down, a dwell behind each move, up."""
+    """Return the points as URScript: over the first point, down, a dwell after each move, up."""
     points, axes = own_path(config, POINTS_MM)
     vectors = [to_vector(from_wrist(float(a), float(c))) for a, c in np.stack(angles_from_axis(axes), axis=1)]
     moves = [_movel(point, turn) for point, turn in zip(points, vectors, strict=True)]
@@ -74,7 +74,7 @@ def _movel(point: Any, turn: Any) -> bytes:
 
 @contextlib.contextmanager
 def dwell_cell(out: Path, *, speed: float = 4.0, **job: Any) -> Iterator[DemoFiles]:
-    """A running simulator for it."""
+    """Run the simulator of these files for the duration of the block."""
     files = write_files(out, **job)
     options = ["--state", str(files.sim_dir), "--seed", "1", "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):

@@ -1,4 +1,4 @@
-"""The simulated robot's controller on a real socket, and what it would tell the plant: the motion itself."""
+"""Run the simulated robot controller on a real socket and record the motion that it reports to the plant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.sim_backends.robot.device import RobotServer
 
 
 class Witness:
-    """Stands in for the link to the plant."""
+    """Substitute for the link to the plant, which records motion and events."""
 
     def __init__(self) -> None:
         self.welcome: dict[str, Any] = {}
@@ -27,27 +27,27 @@ class Witness:
         self.events: list[tuple[str, dict[str, Any]]] = []
 
     def rows(self, rows: np.ndarray, mark_s: float, pose: tuple[float, ...]) -> None:
-        """Motion since the last call."""
+        """Record the motion since the last call."""
         if len(rows):
             self._rows.append(rows)
 
     def event(self, name: str, at_s: float | None = None, **data: Any) -> None:
-        """What happened."""
+        """Record an event."""
         self.events.append((name, data))
 
     @property
     def moved(self) -> np.ndarray:
-        """All motion, (n, 9): seq, wall0, wall1, dt, x, y, z, a, c."""
+        """All recorded motion, (n, 9): seq, wall0, wall1, dt, x, y, z, a, c."""
         return np.concatenate(self._rows)
 
     def of(self, name: str) -> list[dict[str, Any]]:
-        """Events of that name."""
+        """Return the data of the events of that name."""
         return [data for event, data in self.events if event == name]
 
 
 @asynccontextmanager
 async def witnessed_robot(folder: Path, speed: float, **robot: Any) -> AsyncIterator[Witness]:
-    """A robot for the time of the block."""
+    """Run a simulated robot for the duration of the block."""
     witness = Witness()
     config = SimConfig.model_validate({"robot": {"port": 0, **robot}})
     async with asyncio.TaskGroup() as group:
