@@ -1,4 +1,4 @@
-"""``make robustness-dask``: jobs of ``robustness.toml`` on a Dask cluster that loses a worker, held against the pool's.
+"""``make robustness-dask``: compare jobs of ``robustness.toml`` on a Dask cluster that loses a worker with the pool's.
 
 A scheduler and two workers over TCP on loopback; one of them is killed (``kill -9``) once half of the jobs are done.
 Every column of every row is compared with what the pool made of the same jobs, but for times.
@@ -32,17 +32,17 @@ TIMES = ("wall_s", "cpu_s")
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """How the study went on the cluster."""
+    """Run of the study on the cluster."""
 
     killed_after: int
-    """Jobs that were done when the worker was killed."""
+    """Number of jobs that were done when the worker was killed."""
     seconds: float
     load: float
-    """Processes that wanted the machine at the end."""
+    """System load at the end."""
 
 
 def differences(here: list[dict[str, Any]], there: list[dict[str, Any]]) -> list[str]:
-    """Of the rows of the cluster and those of the pool, to the last bit: JSON writes each float so that it is told."""
+    """Return the differences of the cluster's rows from the pool's, to the last bit: JSON keeps floats exactly."""
     known = {row["case"]: row for row in there}
     wrong = []
     for row in here:
@@ -60,7 +60,7 @@ def differences(here: list[dict[str, Any]], there: list[dict[str, Any]]) -> list
 
 
 def run_on_cluster(count: int) -> Ran:
-    """So many jobs on a new cluster, which loses a worker in the middle. RuntimeError where the study fails."""
+    """Run jobs on a new cluster that loses a worker half way. RuntimeError where the study fails."""
     shutil.rmtree(OURS, ignore_errors=True)
     OURS.mkdir(parents=True)
     with Cluster(OURS, WORKERS) as cluster:
@@ -79,7 +79,7 @@ def run_on_cluster(count: int) -> Ran:
 
 
 def table(ran: Ran, rows: list[dict[str, Any]], wrong: list[str]) -> str:
-    """For the page."""
+    """Return the table of the page."""
     columns = sorted({name for row in rows for name in row} - {*TIMES})
     lines = [
         ("jobs on a Dask scheduler and two workers over TCP", f"the first {len(rows)} of {JOBS}"),
@@ -94,7 +94,7 @@ def table(ran: Ran, rows: list[dict[str, Any]], wrong: list[str]) -> str:
 
 
 def main() -> int:
-    """The exit code: 1 where anything differs."""
+    """Run the campaign and return the exit code: 1 where anything differs."""
     parse = argparse.ArgumentParser(prog="make robustness-dask", description=__doc__)
     parse.add_argument("--limit", type=int, default=JOBS, help="the first N jobs")
     count = parse.parse_args().limit

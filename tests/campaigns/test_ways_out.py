@@ -10,7 +10,7 @@ from tests.campaigns.ways_out import FORGOTTEN, LIFTS_S, PAGE, SAVED, WAYS, Cost
 
 CASES = [(way, lift_s) for way in WAYS for lift_s in LIFTS_S]
 SLACK_S = 0.05
-"""Of standing contact: a block at whose corner the robot turns is none."""
+"""Permitted contact at standstill, which does not include the corner of a block."""
 
 
 @pytest.mark.slow
@@ -38,14 +38,14 @@ def test_a_robot_that_has_forgotten_leaves_no_more_than_a_bound(tmp_path: Path) 
 
 
 def require_all_recorded(cost: Cost, *, moved: bool) -> None:
-    """By the plant's account of each block, beside the journal; a robot that stood at once may have run none more."""
+    """Require that plant and journal agree for each block. A robot that stopped at once may have run no further one."""
     assert cost.disagreements == []
     assert cost.as_before or not moved, "what ran while contact was left: a journal without it would not have agreed"
     assert 0 < cost.uncertain < cost.left, "marked is what the tool can have reached, not the rest of the program"
 
 
 def require_tool_off_first(cost: Cost) -> None:
-    """By the simulators' own log, and the plant: the actuator took it off, or the robot."""
+    """Require from the simulators' log and the plant that actuator or robot took the tool off."""
     stops = cost.at("motion stops")
     assert stops is not None
     assert cost.touched_s <= stops + SLACK_S
@@ -54,7 +54,7 @@ def require_tool_off_first(cost: Cost) -> None:
 
 
 def test_the_page_tells_what_each_way_costs() -> None:
-    """The table that the campaign wrote has each case, and nothing in it that the cases would not pass."""
+    """The table that the campaign wrote has each case, and all of its figures pass the tests."""
     allowed = {way.name: way.stands_s + SLACK_S for way in WAYS}
     rows = rows_of(PAGE.read_text())
     assert [(row[0], float(row[1])) for row in rows] == [(way.name, lift_s) for way, lift_s in CASES]

@@ -1,7 +1,7 @@
-"""Every way out of contact, in a whole cell in real time: what happened in which order, and what it cost the part.
+"""Measure every way to leave contact in a whole cell in real time: the order of events and the removal it causes.
 
-The simulated actuator lifts as slowly as it is told to; the plant's own account says what the part lost from the
-moment of the cause on. One case is one simulated cell and one daemon, as processes.
+The simulated actuator lifts in a given time; the plant's record has the removal from the moment of the cause on.
+One case is one simulated cell and one daemon, as processes.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from tests.system.sim_rig import wait_for
 
 LIFTS_S = (0.5, 4.0, 10.0)
 BLOCKS = 60
-"""Executed in contact before the cause."""
+"""Number of blocks that are executed in contact before the cause."""
 SETTLE_S = 60.0
-"""For a machine that is busy with other things."""
+"""Time limit on a busy machine."""
 SHOWN = {
     ("spindle", "spindle_ramping"): "spindle off",
     ("spindle", "spindle_fault"): "spindle off",
@@ -55,20 +55,20 @@ SHOWN = {
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A cell in contact, about to be disturbed."""
+    """Cell in contact with the actions that end contact."""
 
     files: DemoFiles
     daemon: Daemon
     wire: proxy.Wire
     loop: asyncio.AbstractEventLoop
-    """The wire's own."""
+    """Event loop of the wire."""
 
     def press(self, device: str, number: signal.Signals) -> None:
-        """A button of that device's simulator."""
+        """Press a button of that device's simulator."""
         os.kill(json.loads((self.files.sim_dir / "pids.json").read_text())[device], number)
 
     def order(self, verb: str) -> None:
-        """As the command line does; the answer comes when it is obeyed."""
+        """Send a request, as the command line does; the answer comes when the command is done."""
 
         def ask() -> None:
             with contextlib.suppress(LinkError):  # the cell is ended once it rests
@@ -77,35 +77,35 @@ class Rig:
         threading.Thread(target=ask, daemon=True).start()
 
     def lose_journal(self) -> None:
-        """No file of the daemon may grow any more: the next commit fails."""
+        """Forbid the daemon's files to grow: the next commit fails."""
         resource.prlimit(self.daemon.process.pid, resource.RLIMIT_FSIZE, (1, 1))
 
     def cut_robot(self) -> None:
-        """A half-open link: nothing comes through any more, and nobody is told."""
+        """Make the link half-open: it drops all data without an error on either side."""
         self.loop.call_soon_threadsafe(self.wire.flows.clear)
 
     def terminate_twice(self) -> None:
-        """Somebody is impatient."""
+        """Send SIGTERM twice, as an impatient operator does."""
         self.daemon.process.send_signal(signal.SIGTERM)
         self.daemon.process.send_signal(signal.SIGTERM)
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One way out of contact."""
+    """One way to leave contact."""
 
     name: str
     cause: Callable[[Rig], object]
     stands_s: float = 0.0
-    """Longest standing contact that this way may cost: motion has ended before anybody was asked."""
+    """Permitted contact at standstill: motion has ended before the daemon can act."""
     lifts: bool = True
-    """The actuator lifts in the end."""
+    """Whether the actuator lifts in the end."""
     ends: bool = True
-    """The daemon does; else it is held."""
-    tells: bool = True
-    """The daemon can journal how it ended; else the next start does."""
+    """Whether the daemon ends; else it is held."""
+    reports: bool = True
+    """Whether the daemon can journal its end; else the next start does."""
     forgets: bool = False
-    """The robot is another one by then, as far as the journal knows."""
+    """Whether the robot has another boot id than in the journal."""
 
 
 WAYS = (
@@ -115,22 +115,22 @@ WAYS = (
     Way("actuator hung, pressing", lambda rig: rig.press("actuator", signal.SIGUSR2), lifts=False),
     Way("robot link lost", Rig.cut_robot),
     Way("robot stands", lambda rig: rig.press("robot", signal.SIGUSR2), stands_s=20.0),
-    Way("journal lost", Rig.lose_journal, tells=False),
+    Way("journal lost", Rig.lose_journal, reports=False),
     Way("hold", lambda rig: rig.order("hold"), ends=False),
     Way("stop", lambda rig: rig.order("stop")),
     Way("SIGTERM twice", Rig.terminate_twice),
-    Way("kill -9", lambda rig: rig.daemon.process.kill(), tells=False),
+    Way("kill -9", lambda rig: rig.daemon.process.kill(), reports=False),
     Way("emergency stop", lambda rig: rig.press("robot", signal.SIGUSR1), stands_s=20.0),
     Way("estop by order", lambda rig: rig.order("estop"), stands_s=20.0, ends=False),
 )
 
 
-FORGOTTEN = Way("kill -9, and the robot forgets", lambda rig: rig.daemon.process.kill(), tells=False, forgets=True)
+FORGOTTEN = Way("kill -9, and the robot forgets", lambda rig: rig.daemon.process.kill(), reports=False, forgets=True)
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a case came to. Times in s after the cause."""
+    """Result of a case. Times in s after the cause."""
 
     way: str
     lift_s: float
@@ -139,25 +139,25 @@ class Cost:
     standing_s: float
     standing_nm: float
     peak_nm: float
-    """Deepest place that was polished since the cause, along the program too."""
+    """Deepest removal since the cause, including that along the program."""
     touched_s: float
-    """When the tool last touched the part, whoever took it off."""
+    """When the tool last touched the part."""
     disagreements: list[str]
-    """Of the journal with the plant's account."""
+    """Contradictions between the journal and the plant's record."""
     as_before: list[str]
-    """The same of a journal that holds only what was told before contact was left, as it used to be."""
+    """Contradictions of a journal that has only the reports from before contact was left."""
     uncertain: int
-    """Blocks of which nobody knows whether the tool touched."""
+    """Number of blocks for which contact is unknown."""
     left: int
-    """Blocks of contact that were still to come when it was left."""
+    """Number of blocks of contact that remained when contact was left."""
 
     def at(self, what: str) -> float | None:
-        """When it happened first; None where it did not."""
-        return next((at_s for at_s, told in self.order if told == what), None)
+        """Return when an event happened first; None where it did not happen."""
+        return next((at_s for at_s, name in self.order if name == what), None)
 
 
 def measure(way: Way, lift_s: float, folder: Path) -> Cost:
-    """Bring a cell into contact, cause it, and read the plant's account once everything rests."""
+    """Bring a cell into contact, cause the event, and read the plant's record once everything is at rest."""
     files = write_small(folder, patient=False)
     slow = {"retract_s": lift_s + 1.0} if lift_s > 4.0 else {}
     target = urlsplit(load_config(files.cell).robot.model_dump()["address"]).port or 0
@@ -186,7 +186,7 @@ def measure(way: Way, lift_s: float, folder: Path) -> Cost:
 
 
 def _until_at_rest(rig: Rig, way: Way) -> None:
-    """Motion has stopped, and the tool is up where it will be."""
+    """Wait until motion has stopped, and the tool is up where the actuator lifts."""
 
     def rests() -> bool:
         last = {event["event"]: k for k, event in enumerate(events(rig.files))}
@@ -196,12 +196,12 @@ def _until_at_rest(rig: Rig, way: Way) -> None:
 
     if way.name == "actuator's wire cut":
         wait_for(lambda: rig.daemon.process.poll() is not None, "the daemon's end", SETTLE_S)
-        rig.press("actuator", signal.SIGCONT)  # the wire is whole again: what it did meanwhile is told
+        rig.press("actuator", signal.SIGCONT)  # the wire is intact again: the simulator reports its events
     wait_for(rests, f"the cell to come to rest after {way.name}", SETTLE_S)
 
 
 def _until_settled(rig: Rig, way: Way) -> None:
-    """The daemon has journalled what it knows, and where it could not, the next one has."""
+    """Wait until the daemon has completed the journal; where it cannot, start another one that does."""
     if not way.ends:
         rig.daemon.wait_for_state("held")
     else:
@@ -209,21 +209,21 @@ def _until_settled(rig: Rig, way: Way) -> None:
     if way.forgets:
         with contextlib.closing(connect(rig.files.state_dir / "journal.sqlite")) as journal:
             journal.execute("UPDATE pass SET boot_id = 'of another boot'")
-    if not way.tells:
+    if not way.reports:
         with Daemon(rig.files) as again:
             again.wait_for_state("held")
 
 
 def _cost(way: Way, lift_s: float, caused_s: float, files: DemoFiles) -> Cost:
-    told = account(files)["way_out"]
+    way_out = account(files)["way_out"]
     order = [
         (round(event["mono_s"] - caused_s, 2), SHOWN[event["device"], event["event"]])
         for event in events(files)
         if (event["device"], event["event"]) in SHOWN and event["mono_s"] >= caused_s
     ]
     firsts = [pair for k, pair in enumerate(order) if pair[1] not in {word for _, word in order[:k]}]
-    figures = (told["contact_s"], told["standing_s"], told["standing_peak_nm"], told["peak_nm"])
-    figures = (*figures, told["until_s"] - caused_s)
+    figures = (way_out["contact_s"], way_out["standing_s"], way_out["standing_peak_nm"], way_out["peak_nm"])
+    figures = (*figures, way_out["until_s"] - caused_s)
     journal, books = files.state_dir / "journal.sqlite", account(files)["programs"]
     (run,) = passes(journal)
     seen = (disagreements(journal, books), disagreements(_as_before(journal), books))
@@ -233,7 +233,7 @@ def _cost(way: Way, lift_s: float, caused_s: float, files: DemoFiles) -> Cost:
 
 
 def _as_before(journal: Path) -> Path:
-    """A copy that knows nothing of what ran while contact was left."""
+    """Return a copy without the blocks that ran while contact was left."""
     copy = journal.with_name("as-before.sqlite")
     with contextlib.closing(sqlite3.connect(journal)) as whole, contextlib.closing(connect(copy)) as file:
         whole.backup(file)
@@ -244,7 +244,7 @@ def _as_before(journal: Path) -> Path:
 
 @contextmanager
 def _wire(target: int) -> Iterator[tuple[proxy.Wire, asyncio.AbstractEventLoop]]:
-    """The robot behind a wire that can be cut, in a loop of its own."""
+    """Connect the robot through a wire that can be cut, in a separate thread with its event loop."""
     made: list[tuple[proxy.Wire, asyncio.AbstractEventLoop, asyncio.Event]] = []
     ready = threading.Event()
 
@@ -275,7 +275,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reference" / "results.md"
 
 
 def table(costs: Sequence[Mapping[str, Any]]) -> str:
-    """A row a case, for docs/reference/results.md."""
+    """Return the table for docs/reference/results.md, with a row for each case."""
     rows = []
     for cost in costs:
         order = ", ".join(f"{what} {at_s:.1f}" for at_s, what in cost["order"])
@@ -285,13 +285,13 @@ def table(costs: Sequence[Mapping[str, Any]]) -> str:
 
 
 def rows_of(page: str) -> list[list[str]]:
-    """The cells of the table in the page."""
+    """Return the cells of the table in the page."""
     written = page.partition(BEGIN)[2].partition(END)[0].removeprefix(HEADER)
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in written.splitlines()]
 
 
 def write_page(folder: Path) -> None:
-    """Put the table of what was saved into docs/reference/results.md. SystemExit where nothing was."""
+    """Write the table of the saved results to docs/reference/results.md. SystemExit where there are none."""
     rows = load(folder)
     if not rows:
         sys.exit(f"nothing was measured: no files in {folder}, and the page stays as it is. Run make ways-out.")
@@ -301,14 +301,14 @@ def write_page(folder: Path) -> None:
 
 
 def save(cost: Cost, folder: Path) -> None:
-    """For the table."""
+    """Save a result for the table."""
     folder.mkdir(parents=True, exist_ok=True)
     name = f"{cost.way.replace(' ', '-').replace(chr(39), '').replace(',', '')}-{cost.lift_s:g}.json"
     (folder / name).write_text(json.dumps(asdict(cost), indent=1))
 
 
 def load(folder: Path) -> list[dict[str, Any]]:
-    """What was saved, in the order of ``WAYS``."""
+    """Return the saved results in the order of ``WAYS``."""
     names = [way.name for way in WAYS]
     found = [json.loads(path.read_text()) for path in folder.glob("*.json")]
     return sorted(found, key=lambda cost: (names.index(cost["way"]), cost["lift_s"]))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns.shop.judge import lost_or_twice, polished, twice, untold
+from tests.campaigns.shop.judge import has_unsent_events, lost_or_twice, polished, twice
 from tests.system.shop_rig import Shop, over, parts_of, polishd, shop_cell, wait_attended
 from tests.system.sim_rig import wait_for
 
@@ -39,7 +39,7 @@ def test_two_cells_work_a_shops_parts_while_it_is_killed_and_tell_it_all_once(tm
         cells[0].link.start()
         wait_attended(cells, lambda: over(shop), "the parts")
         assert set(shop.states().values()) == {"done"}
-        wait_for(lambda: not untold(shop, cells), "the last reports")
+        wait_for(lambda: not has_unsent_events(shop, cells), "the last reports")
         assert lost_or_twice(shop, cells) == []
         found = {cell.name: polished(cell) for cell in cells}
         assert list(twice(found)) == []

@@ -1,4 +1,4 @@
-"""``make mutate``: each small fault in what may never be wrong is seen by a test, or is explained.
+"""``make mutate``: a test detects each small fault in the safety-relevant modules, or an explanation is given.
 
 Goes on where an earlier sitting ended: a mutant is tried again where its module changed, the test that killed it, or,
 of a survivor, any test of it.
@@ -26,22 +26,22 @@ from tests.campaigns.mutation.campaign import SURVIVED, Done, Trial, run
 from tests.campaigns.mutation.covered import known_lines
 from tests.campaigns.mutation.mutants import Module, Mutant
 from tests.campaigns.mutation.scope import CHOSEN, KEPT, MODULES, ROOT, TESTS
-from tests.campaigns.mutation.trial import Telling, emptied, functions_of, in_function, in_import
+from tests.campaigns.mutation.trial import Reporter, emptied, functions_of, in_function, in_import
 
 HEAVY = ("numpy", "scipy.optimize", "scipy.sparse.linalg", "scipy.ndimage", "pydantic", "numba", "typer")
-"""Imported once, for all children."""
+"""Modules that are imported once for all child processes."""
 OPTIONS = ["-q", "-m", CHOSEN, "-p", "no:cacheprovider", "-p", "no:faulthandler"]
 TMP = KEPT / "tmp"
 ENDS = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
-"""Of a run in which mutants take the place of tests."""
+"""Exit codes of pytest when it runs mutants instead of tests."""
 SECONDS = 20.0
 SOUND = 50
-"""Tests that a module without a fault has to survive here."""
-Work = Callable[[Module, Mutant, Sequence[str]], Callable[[Telling], None]]
+"""Number of tests that a module without a fault must pass first."""
+Work = Callable[[Module, Mutant, Sequence[str]], Callable[[Reporter], None]]
 
 
 class Tests:
-    """Which tests run a line."""
+    """Tests by the lines that they run."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -55,23 +55,25 @@ class Tests:
                         self._of[module][line].append(nodeid)
 
     def of(self, module: str, mutant: Mutant, within_s: float) -> list[str]:
-        """Those that run a line of it, together in that time; of what runs at import, any line of the module.
+        """Return the tests that run a line of the mutant within that time; for code at import, any line of the module.
 
-        First those of the module by their name, and of each kind the quick ones.
+        The tests of the module come first, by their file's name; quick tests precede slow ones.
         """
         lines = self._of[module]
         asked = lines if mutant.unit_line is None else mutant.lines
         found = {nodeid for line in asked for nodeid in lines.get(line, ())}
         own = f"/test_{Path(module).stem.partition('_')[0]}"
         if mutant.unit_line is None:
-            found |= {nodeid for nodeid in self.seconds if own in nodeid}  # who reads a table runs no line of it
+            found |= {
+                nodeid for nodeid in self.seconds if own in nodeid
+            }  # a test that reads a table runs no line of it
         order = sorted(found, key=lambda nodeid: (own not in nodeid, self.seconds[nodeid], nodeid))
         ends_s = itertools.accumulate(self.seconds[nodeid] for nodeid in order)
         return [nodeid for nodeid, end_s in zip(order, ends_s, strict=True) if end_s <= within_s]
 
 
 class Campaign:
-    """One sitting."""
+    """One sitting of the campaign."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
@@ -84,12 +86,12 @@ class Campaign:
 
     @property
     def names(self) -> Sequence[str]:
-        """Of the modules that are asked for."""
+        """Names of the selected modules."""
         asked = self.options.modules
         return [name for name in MODULES if not asked or any(word in name for word in asked)]
 
     def to_try(self, *, at_import: bool) -> Iterator[tuple[Module, Mutant, Sequence[str]]]:
-        """Mutants whose end is not known; those that no test runs have survived."""
+        """Yield the mutants whose end is unknown; those that no test runs have survived."""
         for name, module in self.modules.items():
             for mutant in module.mutants():
                 if (mutant.unit_line is None) is not at_import:
@@ -103,13 +105,13 @@ class Campaign:
                     self.done(mutant, SURVIVED, "")
 
     def at_import(self) -> None:
-        """Before anything of polishd is imported here."""
+        """Try mutants of code that runs at import, before this process imports polishd."""
         for name in HEAVY:
             importlib.import_module(name)
         self._run(functools.partial(in_import, options=OPTIONS), at_import=True)
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        """Of pytest: instead of the tests, all that is left."""
+        """Try all remaining mutants instead of the tests (hook of pytest)."""
         if session.testsfailed:
             raise session.Interrupted("not all tests could be collected: nothing can be said of any fault")
         functions = functions_of([module.path for module in self.modules.values()])
@@ -117,7 +119,7 @@ class Campaign:
         return True
 
     def done(self, mutant: Mutant, end: str, by: str) -> None:
-        """Keep it, and tell of survivors."""
+        """Save the result and print survivors."""
         self.kept.add(mutant, end, by)
         self.tried += 1
         if end == SURVIVED:
@@ -127,7 +129,7 @@ class Campaign:
             say(f"mutate: {self.tried} tried in this sitting")
 
     def _run(self, work: Work, *, at_import: bool) -> None:
-        """All whose end is not known; and without any fault, the same must not be taken for one."""
+        """Try all mutants whose end is unknown, after a check that a module without a fault survives."""
         to_try = list(self.to_try(at_import=at_import))
         self._run_trials(
             work, [(module, module.sound(mutant), tests[:SOUND]) for module, mutant, tests in to_try[:1]], self._held
@@ -141,12 +143,12 @@ class Campaign:
         run(trials, self.options.jobs, emptied(TMP), done, self.until_s)
 
     def _held(self, mutant: Mutant, end: str, by: str) -> None:
-        """Of a module without a fault."""
+        """Check the result of a module without a fault. SystemExit where it did not survive."""
         if end != SURVIVED:
             raise SystemExit(f"mutate: {mutant.path} without a fault was {end} by {by}: nothing can be said of others")
 
     def verdict(self) -> Mapping[str, Sequence[str]]:
-        """What is wrong, by module; of a module that is not tried whole only what is known."""
+        """Return the failures by module; an incomplete module has only those that are known."""
         wrong: dict[str, Sequence[str]] = {}
         for name in self.modules:
             ends, why = self.kept.ends(name), kept.explained().get(name, {})
@@ -161,12 +163,12 @@ class Campaign:
 
 
 def say(*words: object) -> None:
-    """Progress, for whoever waits."""
+    """Print progress."""
     os.write(2, (" ".join(map(str, words)) + "\n").encode())
 
 
 def main() -> int:
-    """The exit code: 1 where a mutant survived that nobody has explained."""
+    """Run the campaign and return the exit code: 1 where a surviving mutant has no explanation."""
     parse = argparse.ArgumentParser(prog="make mutate", description=__doc__)
     parse.add_argument("modules", nargs="*", help="those with such a name; default: all")
     parse.add_argument("--minutes", type=float, default=1e9, help="of this sitting; what was begun is ended")

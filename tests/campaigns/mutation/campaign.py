@@ -1,4 +1,4 @@
-"""Mutants side by side, each with a limit of time for each of its tests."""
+"""Try mutants in parallel, with a time limit for each test."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.campaigns.mutation.mutants import Mutant
-from tests.campaigns.mutation.trial import BEGUN, FAILED, Telling, emptied, forked, reap
+from tests.campaigns.mutation.trial import BEGUN, FAILED, Reporter, emptied, forked, reap
 
 LIMIT_S, LIMIT_TIMES = 6.0, 10.0
-"""A test hangs that takes so much more than it took without a fault, and so many times as long."""
+"""Time limit of a test: additional seconds, and multiple of its time without a fault."""
 IMPORT_S = 120.0
-"""The same until the first test begins."""
+"""Time limit until the first test begins."""
 KILLED, SURVIVED, TIMEOUT = "killed", "survived", "timeout"
 
 Done = Callable[[Mutant, str, str], None]
-"""Of a mutant: how it ended, and the test that ended it."""
+"""Callback with a mutant, its end, and the test that ended it."""
 
 
 @dataclass(slots=True)
 class Trial:
-    """A mutant that waits, or runs."""
+    """Mutant that waits or runs."""
 
     mutant: Mutant
-    work: Callable[[Telling], None]
+    work: Callable[[Reporter], None]
     seconds: Mapping[str, float]
-    """That each test takes without a fault."""
+    """Time of each test without a fault."""
     pid: int = 0
-    heard: str = ""
+    received: str = ""
     test: str = ""
     until_s: float = field(default_factory=lambda: time.monotonic() + IMPORT_S)
 
-    def hear(self, text: str) -> str:
-        """How it ended, if it has, by what the child says; empty text is its end."""
+    def receive(self, text: str) -> str:
+        """Process output of the child and return how the mutant ended, or ""; empty text is the end of the child."""
         if not text:
-            return KILLED  # it died without a word
-        *lines, self.heard = (self.heard + text).split("\n")
+            return KILLED  # the child died without a message
+        *lines, self.received = (self.received + text).split("\n")
         for line in lines:
             word, _, nodeid = line.partition(" ")
             if word != BEGUN:
@@ -52,7 +52,7 @@ class Trial:
 
 
 def run(trials: Iterable[Trial], jobs: int, folder: Path, done: Done, until_s: float) -> bool:
-    """Try them, so many at a time, until all are done; False where the time was over before."""
+    """Try the mutants, ``jobs`` at a time, and return whether all were tried before ``until_s``."""
     waiting = iter(trials)
     with selectors.DefaultSelector() as pipes:
         while True:
@@ -69,11 +69,11 @@ def run(trials: Iterable[Trial], jobs: int, folder: Path, done: Done, until_s: f
 
 
 def _listen(pipes: selectors.BaseSelector, done: Done, folder: Path) -> None:
-    """Hear what there is to hear, and end those that have ended or hang."""
+    """Read the output of the children and end those that are done or hang."""
     ready = {key.fd for key, _ in pipes.select(timeout=0.5)}
     for key in list(pipes.get_map().values()):
         trial: Trial = key.data
-        end = trial.hear(os.read(key.fd, 65536).decode()) if key.fd in ready else ""
+        end = trial.receive(os.read(key.fd, 65536).decode()) if key.fd in ready else ""
         if not end and time.monotonic() > trial.until_s:
             end = TIMEOUT
         if end:

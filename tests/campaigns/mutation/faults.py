@@ -1,4 +1,4 @@
-"""The faults: what may stand in the place of an expression, or of a statement."""
+"""Faults: replacements of an expression or a statement."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ SQL = {
     r" LIMIT 1": "",
     r"ORDER BY [a-z]+$": "",
 }
-"""What may be wrong in a statement of SQL, and is one still."""
+"""Replacements in an SQL statement that leave it valid."""
 IS_SQL = re.compile(r"\s*(SELECT|INSERT|UPDATE|DELETE|PRAGMA|BEGIN|ALTER|CREATE|[a-z!= ']* (IS|IN|AND) )")
 
 
 def faults_of_expression(node: ast.AST, holder: ast.AST, field: str) -> Iterator[ast.AST]:
-    """What may stand where that node stands, as a field of ``holder``."""
+    """Yield the replacements of an expression that is a field of ``holder``."""
     yield from _EXPRESSIONS.get(type(node), _none)(node)
     asked = field == "test" and isinstance(holder, ast.If | ast.IfExp | ast.While)
     if asked and isinstance(node, ast.expr) and _negated_is_new(node):
@@ -61,7 +61,7 @@ def faults_of_expression(node: ast.AST, holder: ast.AST, field: str) -> Iterator
 
 
 def faults_of_statement(node: ast.AST) -> Iterator[ast.AST]:
-    """What may stand where that statement stands."""
+    """Yield the replacements of a statement."""
     yield from _STATEMENTS.get(type(node), _none)(node)
 
 
@@ -116,7 +116,7 @@ def _said(node: ast.Expr) -> Iterator[ast.AST]:
 
 
 def _kept(node: ast.Assign | ast.AnnAssign) -> Iterator[ast.AST]:
-    """Of what outlives the call; a name that has no value is seen at once."""
+    """Omit an assignment to an attribute or element; tests detect a missing local name at once."""
     targets = node.targets if isinstance(node, ast.Assign) else [node.target]
     if node.value is not None and not all(isinstance(target, ast.Name | ast.Tuple) for target in targets):
         yield ast.Pass()
@@ -178,13 +178,13 @@ def _other_calls(node: ast.Call) -> Iterator[ast.Call]:
 
 
 def _one_left_out(kinds: ast.expr) -> Sequence[ast.Tuple]:
-    """A tuple of types without each of them in turn; of one type none is left."""
+    """Return tuples of types in which one type is missing; of a single type an empty tuple."""
     each = kinds.elts if isinstance(kinds, ast.Tuple) else [kinds]
     return [ast.Tuple(each[:k] + each[k + 1 :], ast.Load()) for k in range(len(each))]
 
 
 def _negated_is_new(node: ast.AST) -> bool:
-    """No other fault of it is the same."""
+    """Return whether no other fault equals the negation."""
     if isinstance(node, ast.UnaryOp):
         return not isinstance(node.op, ast.Not)
     if isinstance(node, ast.Compare):

@@ -1,4 +1,4 @@
-"""Results of the mutation campaign: kept, compared with ``survivors.toml``, shown in docs/reference/results.md."""
+"""Results of the mutation campaign: saved, compared with ``survivors.toml``, shown in docs/reference/results.md."""
 
 from __future__ import annotations
 
@@ -34,90 +34,90 @@ SHARED = ("tests/fakes/*.py", "tests/unit/daemon/[!t]*.py", "tests/conftest.py",
 
 
 class Kept:
-    """``results.json``: of each module its hash, and of each of its mutants how it ended."""
+    """Content of ``results.json``: the hash of each module, and the end of each of its mutants."""
 
     def __init__(self, folder: Path = KEPT) -> None:
         self._path = folder / "results.json"
         kept = json.loads(self._path.read_text()) if self._path.exists() else {}
         self._modules: dict[str, Any] = kept.get("modules", {})
         self._sittings: list[dict[str, str]] = kept.get("sittings", [])
-        """The hashes of all files of tests, of each sitting."""
+        """Hashes of all test files in each sitting."""
         for name in MODULES:
             if self._modules.get(name, {}).get("of") != content_of([name]):
                 self._modules[name] = {"of": content_of([name]), "mutants": {}}
 
     def sit(self, files: Iterable[str]) -> None:
-        """Begin a sitting with these files of tests."""
+        """Begin a sitting with these test files."""
         now = {name: content_of([name]) for name in files}
         now[HELPERS] = content_of(sorted(str(path.relative_to(ROOT)) for one in SHARED for path in ROOT.glob(one)))
         if not self._sittings or self._sittings[-1] != now:
             self._sittings.append(now)
 
     def still_to_run(self, mutant: Mutant, tests: Sequence[str], *, again: bool = False) -> Sequence[str] | None:
-        """Of those tests the ones that may have another word on it; None where its end is known.
+        """Return the tests that may change the mutant's result; None where its end is known.
 
-        ``again``: that of a survivor is not.
+        ``again``: try survivors again.
         """
-        told = self.of(mutant)
+        known = self.of(mutant)
         now = self._sittings[-1]
-        if told is None:
+        if known is None:
             return tests
-        then = self._sittings[told["sitting"]]
+        then = self._sittings[known["sitting"]]
         same = {name for name in now if then.get(name) == now[name]}
-        if told["end"] != SURVIVED:
-            return None if told["by"].partition("::")[0] in same or "::" not in told["by"] else tests
+        if known["end"] != SURVIVED:
+            return None if known["by"].partition("::")[0] in same or "::" not in known["by"] else tests
         if again or HELPERS not in same:
             return tests
         return [test for test in tests if test.partition("::")[0] not in same] or None
 
     def of(self, mutant: Mutant) -> Any:
-        """What is known of it."""
+        """Return the saved result of a mutant; None where there is none."""
         name = str(Path(mutant.path).relative_to(ROOT))
         return self._modules[name]["mutants"].get(mutant.key)
 
     def add(self, mutant: Mutant, end: str, by: str) -> None:
-        """It ended so."""
+        """Add the end of a mutant and the test that ended it."""
         name = str(Path(mutant.path).relative_to(ROOT))
         self._modules[name]["mutants"][mutant.key] = {"end": end, "by": by, "sitting": len(self._sittings) - 1}
 
     def save(self) -> None:
-        """For the next sitting."""
+        """Save the results for the next sitting."""
         kept = {"modules": self._modules, "sittings": self._sittings}
         temporary = self._path.with_suffix(".new")
         temporary.write_text(json.dumps(kept, indent=1))
         temporary.replace(self._path)
 
     def ends(self, module: str) -> dict[str, str]:
-        """Of each mutant that was tried, how it ended."""
-        told = self._modules[module]["mutants"]
-        return {key: told[key]["end"] for key in keys_of(module) if key in told}
+        """Return the end of each mutant that was tried."""
+        known = self._modules[module]["mutants"]
+        return {key: known[key]["end"] for key in keys_of(module) if key in known}
 
 
 @functools.cache
 def keys_of(module: str) -> tuple[str, ...]:
-    """Of all mutants of a module."""
+    """Return the keys of all mutants of a module."""
     return tuple(mutant.key for mutant in Module(module, (ROOT / module).read_text()).mutants())
 
 
 def explained() -> dict[str, dict[str, str]]:
-    """By module, why each surviving mutant does no harm."""
+    """Return for each module why its surviving mutants are harmless."""
     found: dict[str, dict[str, str]] = tomllib.loads(EXPLAINED.read_text())
     return found
 
 
 def unexplained(ends: Mapping[str, str], why: Mapping[str, str]) -> list[str]:
-    """Survivors of a module that nobody has explained."""
+    """Return the survivors of a module without an explanation."""
     return [key for key, end in ends.items() if end == SURVIVED and not why.get(key)]
 
 
 def outdated(ends: Mapping[str, str], why: Mapping[str, str], all_keys: Iterable[str]) -> list[str]:
-    """Explanations of a module for what is killed, or is no mutant any more."""
+    """Return the explanations of a module for mutants that are killed or no longer exist."""
     known = set(all_keys)
     return [key for key in why if key not in known or ends.get(key, SURVIVED) != SURVIVED]
 
 
 def table(kept: Kept) -> str:
-    """For the page: a row a module, and their sum."""
+    """Return the table of the page: a row for each module, and their sum."""
     head = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n"
     rows, total = [], Counter[str]()
     for name in MODULES:
@@ -138,6 +138,6 @@ def _row(name: str, count: Mapping[str, int]) -> str:
 
 
 def write_page(text: str) -> None:
-    """Put it into docs/reference/results.md."""
+    """Write the table to docs/reference/results.md."""
     before, _, rest = PAGE.read_text().partition(BEGIN)
     PAGE.write_text(before + BEGIN + text + END + rest.partition(END)[2])

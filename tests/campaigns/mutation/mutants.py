@@ -1,4 +1,4 @@
-"""One small fault at a time, put into the syntax tree of a module.
+"""Insert one small fault at a time into the syntax tree of a module.
 
 Not touched: annotations, decorators, docstrings, f-strings, log calls, what an error says, and other text with spaces
 that is no SQL. Faults of names and of syntax are left to mypy.
@@ -18,20 +18,20 @@ from tests.campaigns.mutation.faults import faults_of_expression, faults_of_stat
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 SHOWN, AROUND = 70, 24
-"""Characters of a change, and of what is the same before it."""
+"""Number of characters of a change, and of the equal text before it."""
 SKIPPED = {"annotation", "returns", "decorator_list", "ctx", "op", "ops", "type_params"}
 
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """One place of a tree: a field of a node, or an element of it."""
+    """Position in a tree: a field of a node, or an element of the field."""
 
     holder: ast.AST
     field: str
     index: int | None
 
     def put(self, node: Any) -> Any:
-        """Exchange what is there; returns it."""
+        """Replace the node at this position and return the old one."""
         if self.index is None:
             old = getattr(self.holder, self.field)
             setattr(self.holder, self.field, node)
@@ -43,28 +43,28 @@ class Edit:
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A module with one fault."""
+    """Module with one fault."""
 
     path: str
     where: str
     """Qualified name of the innermost function or class; empty in the module."""
     change: str
     unit_line: int | None
-    """First line of the outermost function; None where the module has to be imported anew."""
+    """First line of the outermost function; None where the module must be imported again."""
     lines: tuple[int, ...]
-    """A test that runs none of these cannot see it."""
+    """Lines of the fault: only a test that runs one of them can detect it."""
     edit: Edit
     new: ast.AST
 
     @property
     def key(self) -> str:
-        """What ``survivors.toml`` calls it: it outlives a change of other lines."""
+        """Name in ``survivors.toml``, which does not depend on other lines."""
         return f"{self.where}: {self.change}"
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where the walk is."""
+    """Position during the walk through the tree."""
 
     where: str = ""
     unit_line: int | None = None
@@ -73,7 +73,7 @@ class _Place:
 
 
 class Module:
-    """A source, and all its mutants."""
+    """Source of a module with all its mutants."""
 
     def __init__(self, path: str, source: str) -> None:
         self.path = path
@@ -81,17 +81,17 @@ class Module:
         self._seen: Counter[str] = Counter()
 
     def mutants(self) -> Iterator[Mutant]:
-        """In the order of the lines."""
+        """Yield the mutants in the order of the lines."""
         self._seen.clear()
         yield from self._within(self.tree, _Place())
 
     def sound(self, mutant: Mutant) -> Mutant:
-        """In the place of that one, no fault at all."""
+        """Return the mutant with no fault instead of its own."""
         first = self.tree.body[0]
         return replace(mutant, change="nothing", edit=Edit(self.tree, "body", 0), new=first)
 
     def code(self, mutant: Mutant) -> Any:
-        """The module's code with that fault in it."""
+        """Return the module's code with the fault."""
         old = mutant.edit.put(mutant.new)
         try:
             return compile(ast.fix_missing_locations(self.tree), self.path, "exec", dont_inherit=True)
@@ -133,12 +133,12 @@ class Module:
 
 
 def _first_line(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """As its code object has it: decorators count."""
+    """Return the first line as the code object has it, which includes decorators."""
     return min([function.lineno, *(one.lineno for one in function.decorator_list)])
 
 
 def _entered(child: ast.AST, place: _Place) -> _Place:
-    """The place inside that node."""
+    """Return the position inside a node."""
     if not isinstance(child, ast.stmt):
         return place
     where, unit_line, generator = place.where, place.unit_line, place.generator
@@ -151,7 +151,7 @@ def _entered(child: ast.AST, place: _Place) -> _Place:
 
 
 def _text(child: ast.AST, holder: ast.AST) -> bool:
-    """What is written for people, or is no code that runs."""
+    """Return whether a node is text for people, or code that does not run."""
     if isinstance(child, (ast.JoinedStr, ast.Import, ast.ImportFrom)):
         return True
     if isinstance(child, ast.Call) and (isinstance(holder, ast.Raise) or ast.unparse(child.func) == "TypeVar"):
@@ -169,7 +169,7 @@ def _text(child: ast.AST, holder: ast.AST) -> bool:
 
 
 def _change(edit: Edit, old: ast.AST, new: ast.AST) -> str:
-    """Both texts, of so much around it that a reader knows it again, and of long ones what differs."""
+    """Return both texts with enough context to recognize them; long texts are cut to the difference."""
     if isinstance(old, ast.Constant) and isinstance(edit.holder, ast.expr | ast.keyword | ast.arguments):
         before = ast.unparse(edit.holder)
         edit.put(new)

@@ -1,4 +1,4 @@
-"""The mutator: which faults it makes, that each is another program, and what its verdict follows from."""
+"""The mutator: its faults, that each gives another program, and the rules of the verdict."""
 
 from __future__ import annotations
 
@@ -104,13 +104,13 @@ import sys
 from tests.campaigns.mutation.__main__ import OPTIONS
 from tests.campaigns.mutation.mutants import Module
 from tests.campaigns.mutation.scope import ROOT
-from tests.campaigns.mutation.trial import Telling, in_import
+from tests.campaigns.mutation.trial import Reporter, in_import
 
 path = ROOT / "polishd" / "model" / "states.py"
 module = Module(str(path), path.read_text())
 (mutant,) = [one for one in module.mutants() if one.change == "'idle' -> 'otheridle'"]
 test = "tests/unit/daemon/test_state_machine.py::test_others_know_the_states_by_these_names"
-in_import(module, mutant if sys.argv[1] == "fault" else module.sound(mutant), [test], OPTIONS)(Telling(1))
+in_import(module, mutant if sys.argv[1] == "fault" else module.sound(mutant), [test], OPTIONS)(Reporter(1))
 """
 
 
@@ -126,11 +126,11 @@ def test_a_fault_is_in_what_is_imported(fault: str, failed: bool) -> None:
 def test_what_a_child_says_is_how_its_mutant_ended() -> None:
     mutant = mutants("x = 1")[0]
     trial = Trial(mutant, print, {"t.py::a": 1.0})
-    assert trial.hear("begun t.py::a\nbegu") == ""
-    assert trial.hear("n t.py::b\n") == ""
-    assert (trial.hear("failed t.py::b\n"), trial.test) == (KILLED, "t.py::b")
-    assert Trial(mutant, print, {}).hear("ended \n") == SURVIVED
-    assert Trial(mutant, print, {}).hear("") == KILLED, "it died"
+    assert trial.receive("begun t.py::a\nbegu") == ""
+    assert trial.receive("n t.py::b\n") == ""
+    assert (trial.receive("failed t.py::b\n"), trial.test) == (KILLED, "t.py::b")
+    assert Trial(mutant, print, {}).receive("ended \n") == SURVIVED
+    assert Trial(mutant, print, {}).receive("") == KILLED, "it died"
 
 
 def test_a_survivor_wants_an_explanation_and_an_explanation_a_survivor() -> None:

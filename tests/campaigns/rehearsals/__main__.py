@@ -19,7 +19,7 @@ from tests.campaigns.rehearsals.rehearse import cells, line, measure
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Parse the command line and run the rehearsals."""
     parse = argparse.ArgumentParser(prog="make rehearsals", description=__doc__)
     parse.add_argument("--cell", action="append", choices=cells(), help="these alone")
     parse.add_argument("--left", action="store_true", help="those that were not rehearsed with these sources")

@@ -1,4 +1,4 @@
-"""Results of ``make rehearsals``: docs/data/rehearsals.jsonl, a line a cell, and the table in results.md."""
+"""Results of ``make rehearsals``: docs/data/rehearsals.jsonl with a line per cell, and the table in results.md."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SOURCES = ("daemon", "drivers", "model", "pipeline", "process", "sim_backends")
 
 @cache
 def of_cell(name: str) -> str:
-    """Hash of the sources that the rehearsal of that cell depends on."""
+    """Return the hash of the sources that the rehearsal of that cell depends on."""
     return beside.sources((*(f"polishd/{source}" for source in SOURCES), f"examples/{name}"))
 
 
@@ -36,18 +36,18 @@ class Kept:
         self._path = folder / "rehearsals.jsonl"
 
     def rows(self) -> list[Row]:
-        """Results in the order of the page; none of a cell that is gone."""
+        """Return the results in the order of the page, without those of removed examples."""
         found = {row["cell"]: row for row in beside.read(self._path)}
         return [found[name] for name in cells() if name in found]
 
     def left(self) -> list[str]:
-        """Cells that were never rehearsed, then those of other sources."""
+        """Return the cells that were never rehearsed, then those of older sources."""
         rows = {row["cell"]: row["of"] for row in self.rows()}
         never = [name for name in cells() if name not in rows]
         return never + [name for name in cells() if name in rows and rows[name] != of_cell(name)]
 
     def add(self, finding: Finding) -> None:
-        """Keep a result, in the place of an older one."""
+        """Save a result; it replaces an older one."""
         row = {**asdict(finding), "date": beside.today(), "of": of_cell(finding.cell)}
         beside.keep(self._path, [*(one for one in self.rows() if one["cell"] != finding.cell), row])
 
@@ -61,7 +61,7 @@ def text(kept: Kept) -> str:
 
 
 def write(kept: Kept) -> None:
-    """Put it into the page."""
+    """Write the table to the page."""
     beside.write(PAGE, BEGIN, END, text(kept))
 
 

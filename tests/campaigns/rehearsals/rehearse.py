@@ -1,4 +1,4 @@
-"""One example cell, as a shop tries it: its program where it ships none, its rehearsal, and a run to the tolerance."""
+"""Try one example cell: make its program where it has none, rehearse it, and run it to the tolerance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ACCEPTED = "in_tolerance"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A row of the table."""
+    """Row of the table."""
 
     cell: str
     robot: str
@@ -32,23 +32,23 @@ class Finding:
     outcome: str
     passes: int
     first_nm: float | None
-    """RMS of the first map; None: none was measured."""
+    """RMS of the first map; None without one."""
     last_nm: float | None
     true_nm: float | None
-    """RMS of the simulated part at the end, as only the plant knows it."""
+    """RMS of the simulated part at the end, from the plant."""
     duration_s: float
     reason: str
     tolerance_nm: float | None = None
-    """Of the job, RMS; None: its tolerance is not an RMS alone."""
+    """RMS tolerance of the job; None where its tolerance is not an RMS alone."""
 
     @property
     def is_accepted(self) -> bool:
-        """The part is in tolerance."""
+        """Whether the part is in tolerance."""
         return self.outcome == ACCEPTED
 
 
 def cells(folder: Path = EXAMPLES) -> dict[str, Path]:
-    """Example cells by their path in the folder: files with a robot and a state folder."""
+    """Return the example cells by their path in the folder: files with a robot and a state folder."""
     found = {}
     for path in sorted(folder.rglob("*.toml")):
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -71,7 +71,7 @@ def measure(name: str, folder: Path) -> Finding:
 
 
 def finding(name: str, files: DemoFiles, config: CellConfig) -> Finding:
-    """The row of a rehearsal whose daemon has ended. AssertionError with its output where it wrote no summary."""
+    """Return the row of a rehearsal whose daemon has ended. AssertionError with its output without a summary."""
     summaries = [files.run_dir / "summary.json", *files.state_dir.glob("runs/*/summary.json")]
     written = [path for path in summaries if path.exists()]
     assert written, files.daemon_log.read_text()
@@ -105,7 +105,7 @@ COLUMNS: Mapping[str, int] = {
 
 
 def line(finding: Finding | None = None) -> str:
-    """A row of the table as text; its head without a finding."""
+    """Return a row of the table as text; without a finding the head."""
     cells_of = [*COLUMNS]
     if finding is not None:
         figures = (finding.first_nm, finding.last_nm, finding.true_nm)

@@ -1,4 +1,4 @@
-"""Which example cells are rehearsed, how a row reads and is kept, and one of the rehearsals."""
+"""The choice of example cells, the format of a row, the saved results, and one of the rehearsals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``make shop-campaign``: parts through three daemons and a shop that are killed at random, in sittings."""
+"""``make shop-campaign``: polish parts with three daemons and a shop that are killed at random, in sittings."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make shop-campaign -->\n", "<!-- end of it -->\n"
 PARTS, SITTING, SPEED = 300, 30, 40.0
 OF = ("polishd/shop", "polishd/daemon", "polishd/web/http")
-"""Sources on which what comes of it depends."""
+"""Sources on which the results depend."""
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """For the page: the sums of all sittings."""
+    """Return the table of the page: the sums of all sittings."""
     sums = {key: sum(row[key] for row in rows) for key in ("parts", "passes", "torn", "events", "releases", "resumed")}
     kills, verdicts = Counter[str](), Counter[str]()
     for row in rows:
@@ -51,7 +51,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> int:
-    """The exit code: 1 where anything was wrong."""
+    """Run the campaign and return the exit code: 1 where anything was wrong."""
     parse = argparse.ArgumentParser(prog="make shop-campaign", description=__doc__)
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
     parse.add_argument("--sitting", type=int, default=SITTING, help="parts of one sitting")
@@ -78,7 +78,7 @@ def main() -> int:
         beside.keep(kept, rows)
         say(json.dumps(rows[-1]))
         if came.wrong:
-            break  # whoever looks into it finds all as it was
+            break  # the folder stays as it is for the analysis
     if folder == FOLDER and rows:
         beside.write(PAGE, BEGIN, END, table(rows))
     print(table(rows) if rows else "nothing was done")
@@ -86,7 +86,7 @@ def main() -> int:
 
 
 def say(words: str) -> None:
-    """Progress, for whoever waits."""
+    """Print progress."""
     print(f"{datetime.now(UTC):%H:%M:%S} shop: {words}", file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""What became of a shop's parts: by its database, by the cells' journals, and by what their plants know."""
+"""Judge a shop's parts by its database, the cells' journals and the true surfaces of the simulated plants."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OVER = frozenset({"done", "aside", "removed"})
 
 
 def lost_or_twice(shop: Shop, cells: Sequence[ShopCell]) -> list[str]:
-    """What the shop does not know, knows twice, or knows otherwise than the cells' journals."""
+    """Return the differences between the shop and the cells' journals: what is missing, double or different."""
     wrong = []
     for cell in cells:
         wrong += _differences(f"{cell.name}: passes", _passes(shop, cell.name), Counter(cell.rows(PASSES)))
@@ -28,8 +28,8 @@ def lost_or_twice(shop: Shop, cells: Sequence[ShopCell]) -> list[str]:
     return [*wrong, *_parts(shop, cells)]
 
 
-def untold(shop: Shop, cells: Sequence[ShopCell]) -> bool:
-    """Something that a journal has is not at the shop yet."""
+def has_unsent_events(shop: Shop, cells: Sequence[ShopCell]) -> bool:
+    """Return whether the shop lacks an event of a journal, or a claim has not ended."""
     for cell in cells:
         ((last,),) = cell.rows("SELECT ifnull(max(id), 0) FROM event")
         if [(last,)] != shop.rows(f"SELECT upto FROM feed WHERE cell = '{cell.name}'"):
@@ -38,16 +38,16 @@ def untold(shop: Shop, cells: Sequence[ShopCell]) -> bool:
 
 
 def polished(cell: ShopCell) -> set[str]:
-    """Parts from which the cell's plant has taken something off: the ones beside it, and the one on the seat."""
+    """Return the parts from which the cell's plant has removed material, with the one that is seated."""
     sim = cell.files.sim_dir
     kept = {path.stem: path for path in (sim / "parts").glob("*.npz")}
-    told = [json.loads(line) for line in (sim / "sim.log").read_text().splitlines() if '"loader_clear"' in line]
-    seat = {told[-1]["seat"]: sim / "truth.npz"} if told and told[-1]["seat"] else {}
+    loads = [json.loads(line) for line in (sim / "sim.log").read_text().splitlines() if '"loader_clear"' in line]
+    seat = {loads[-1]["seat"]: sim / "truth.npz"} if loads and loads[-1]["seat"] else {}
     return {name for name, path in {**kept, **seat}.items() if _touched(path)}
 
 
 def twice(found: dict[str, set[str]]) -> Iterator[str]:
-    """Parts that several cells have polished; ``found``: what each has."""
+    """Yield a message for each part that several cells have polished; ``found``: parts by cell."""
     owners = Counter(part for parts in found.values() for part in parts)
     for part, count in sorted(owners.items()):
         if count > 1:
@@ -60,7 +60,7 @@ def _touched(path: Path) -> bool:
 
 
 def _parts(shop: Shop, cells: Sequence[ShopCell]) -> Iterator[str]:
-    """Each has ended, by one claim, and as the queue of its cell says."""
+    """Yield a message for each part that has not ended, has several claims, or differs from its cell's queue."""
     queues = {cell.name: dict(cell.rows("SELECT claim, verdict FROM queue WHERE claim != ''")) for cell in cells}
     sql = (
         "SELECT part.job, part.state, part.verdict, claim.request, claim.cell FROM part LEFT JOIN claim "

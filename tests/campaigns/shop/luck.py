@@ -1,4 +1,4 @@
-"""Bad luck of a shop, drawn by the seed: whom the kernel kills next, when, and for how long nobody starts it again."""
+"""Random failures of a shop, drawn from the seed: which process is killed, when, and when it is restarted."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from polishd.shop.database import Database
 from tests.system.shop_rig import Process, Shop
 
 BETWEEN, AWAY = (0.2, 1.0), (0.0, 0.5)
-"""Of the time that a part takes: on a busy machine all takes longer, and luck shall leave it time to get on."""
+"""Times between and after kills, relative to the time of a part, which is longer on a busy machine."""
 LONGEST_S = 120.0
 SHARES = {"daemon": 5, "shop": 3, "link": 2}
 RELEASED = 0.2
-"""Of the strikes after which a person wants a part back from the cell that has it."""
+"""Share of kills after which the operator takes a part back from its cell."""
 
 
 class Luck:
-    """Strikes until it is told to leave them in peace."""
+    """Random kills and restarts of processes."""
 
     def __init__(self, seed: str, shop: Shop, processes: Mapping[str, Sequence[Process]]) -> None:
         self._luck, self._shop, self._processes = random.Random(seed), shop, processes
         self.part_s = 10.0
-        """What a part takes now."""
+        """Present time per part."""
         self._next_s = time.monotonic() + self._draw(BETWEEN)
         self._back_s: dict[Process, float] = {}
-        """When whoever was killed is started again."""
+        """When each killed process is started again."""
         self.killed: Counter[str] = Counter()
         self.releases = 0
 
     def strike(self) -> None:
-        """If it is time."""
+        """Kill a process if its time has come."""
         if time.monotonic() < self._next_s:
             return
         self._next_s = time.monotonic() + self._draw(BETWEEN)
@@ -49,7 +49,7 @@ class Luck:
             self._release()
 
     def start_again(self) -> None:
-        """Whom nobody keeps away any more, as systemd does."""
+        """Restart the processes whose time has come, as systemd does."""
         for process in (one for several in self._processes.values() for one in several):
             if not process.up and time.monotonic() >= self._back_s.get(process, 0.0):
                 process.start()

@@ -1,4 +1,4 @@
-"""A sitting: three simulated cells and their shop work so many parts more, while luck kills whom it likes."""
+"""Run a sitting: three simulated cells and their shop polish further parts while processes are killed at random."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 from polishd.shop import parts
 from polishd.shop.database import Database
-from tests.campaigns.shop.judge import OVER, lost_or_twice, polished, twice, untold
+from tests.campaigns.shop.judge import OVER, has_unsent_events, lost_or_twice, polished, twice
 from tests.campaigns.shop.luck import Luck
 from tests.system.shop_rig import Shop, ShopCell, write_shop_cell
 from tests.system.sim_rig import wait_for
@@ -22,16 +22,16 @@ from tests.system.sim_rig import wait_for
 CELLS = ("north", "south", "west")
 LOOK_S = 0.25
 PART_S = 120.0
-"""Of a sitting for each of its parts, and twice as much to begin with: longer is stuck."""
+"""Time limit of a sitting for each of its parts, and twice that for the start."""
 LOOKS = 5
-"""So often what is known is held against the journals, while these still grow."""
+"""Number of comparisons with the journals while these still grow."""
 PATIENCE = 6
-"""So often a person says of one job that it may go on; then it is set aside."""
+"""Number of times that the operator resumes a job before setting it aside."""
 
 
 @dataclass(slots=True)
 class Came:
-    """What a sitting came to."""
+    """Result of a sitting."""
 
     sitting: int
     parts: int
@@ -39,7 +39,7 @@ class Came:
     passes: int = 0
     torn: int = 0
     events: int = 0
-    """Of all journals, that the shop has."""
+    """Number of events of all journals that the shop has."""
     kills: dict[str, int] = field(default_factory=dict)
     releases: int = 0
     given_back: int = 0
@@ -49,7 +49,7 @@ class Came:
 
 
 class Sitting:
-    """In the folder of the campaign: the shop and the cells' journals go on from sitting to sitting."""
+    """Sitting in the folder of the campaign, where shop and journals stay from sitting to sitting."""
 
     def __init__(self, folder: Path, seed: int, number: int, speed: float) -> None:
         self._folder, self._seed, self._number, self._speed = folder, seed, number, speed
@@ -58,7 +58,7 @@ class Sitting:
         self._resumed: Counter[str] = Counter()
 
     def run(self, count: int, leave: Callable[[], bool], say: Callable[[str], None]) -> Came:
-        """So many parts; what came of them. Once ``leave`` says so, what waits is taken out, and the rest is ended."""
+        """Polish parts and return the result. When ``leave`` is true, remove waiting parts and complete the rest."""
         came, began_s = Came(self._number, count), time.monotonic()
         names = [f"S{self._seed}-{self._number:02d}-{number:02d}" for number in range(count)]
         before = self._counts()
@@ -77,7 +77,11 @@ class Sitting:
             try:
                 self._work(names, luck, leave, say)
                 luck.start_again()
-                wait_for(lambda: not (luck.start_again() or untold(self._shop, self._cells)), "the last reports", 120.0)
+                wait_for(
+                    lambda: not (luck.start_again() or has_unsent_events(self._shop, self._cells)),
+                    "the last reports",
+                    120.0,
+                )
             except AssertionError as error:
                 came.wrong.append(f"stuck: {error}: {[cell.status() for cell in self._cells]}")
             came.kills, came.releases = dict(luck.killed), luck.releases
@@ -109,23 +113,23 @@ class Sitting:
             time.sleep(LOOK_S)
 
     def _lost_or_twice(self) -> list[str]:
-        """A daemon that was started again says more while this is looked at: that is told, too, and looked at anew."""
+        """Return the differences, compared again while restarted daemons still send events."""
         for _ in range(LOOKS):
             wrong = lost_or_twice(self._shop, self._cells)
-            if not wrong or not untold(self._shop, self._cells):
+            if not wrong or not has_unsent_events(self._shop, self._cells):
                 return wrong
-            with contextlib.suppress(AssertionError):  # then it is told as lost
-                wait_for(lambda: not untold(self._shop, self._cells), "the last reports", 120.0)
+            with contextlib.suppress(AssertionError):  # then it is reported as lost
+                wait_for(lambda: not has_unsent_events(self._shop, self._cells), "the last reports", 120.0)
         return wrong
 
     def _take_out(self) -> None:
-        """What no cell has."""
+        """Remove the parts that no cell has claimed."""
         with Database.open(self._shop.folder / "state") as database, database.transaction() as sql:
             for row in sql.rows("SELECT job FROM part WHERE state = 'waiting'"):
                 parts.remove(sql, row["job"], "the campaign", "the sitting ends")
 
     def _visit(self, cell: ShopCell) -> None:
-        """A person reads why it is held, and says that it may go on; with a job that does not, that it is set aside."""
+        """Resume a held cell, as an operator does; set a job aside that is held repeatedly."""
         status = cell.status()
         if status.get("state") != "held":
             return

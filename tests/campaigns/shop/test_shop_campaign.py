@@ -1,4 +1,4 @@
-"""The campaign of a shop finds what it looks for, and a few parts come through it."""
+"""The shop campaign detects each failure that it looks for, and completes a few parts."""
 
 from __future__ import annotations
 

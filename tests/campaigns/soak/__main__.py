@@ -1,4 +1,4 @@
-"""``make soak``: parts through the queue of simulated cells, added to those of earlier sittings."""
+"""``make soak``: polish parts through the queue of simulated cells and add them to those of earlier sittings."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ from tests.system.sim_rig import ROOT
 FOLDER = ROOT / "build" / "soak"
 PARTS, SITTING = 931, 40
 SPEED = 20.0
-"""Faster, a sample of the force (each 50 ms of the wall) covers too much of a pass."""
+"""Highest speed: above it a force sample (each 50 ms of wall time) covers too much of a pass."""
 NAMED = {script.name: script for script in SCRIPTS}
 EVIDENCE = 40
-"""So much of what was wrong is kept."""
+"""Number of failures of which the evidence is kept."""
 
 
 class Soak:
-    """Sittings side by side, and what they come to."""
+    """Parallel sittings with their results."""
 
     def __init__(self, figures: Figures, folder: Path, until_s: float, only: Sequence[Script] = ()) -> None:
         self._figures, self._folder, self._until_s, self._only = figures, folder, until_s, only
         self._turn = threading.Lock()
         self.wrong: list[str] = []
-        """Of sittings, apart from their parts."""
+        """Failures of sittings that concern no part."""
 
     def run(self, parts: int, cells: int, sitting: int = SITTING) -> None:
-        """Those of the first ``parts`` that are not done."""
+        """Polish those of the first ``parts`` that are not done."""
         done = self._figures.done
         blocks = [[n for n in range(first, min(first + sitting, parts)) if n not in done]
                   for first in range(0, parts, sitting)]  # fmt: skip
@@ -51,7 +51,7 @@ class Soak:
                 self.wrong += wrong
 
     def leave(self, *_: object) -> None:
-        """What was begun is ended, and nothing more is begun."""
+        """Complete the parts under way and begin no others."""
         self._until_s = 0.0
 
     def _sit(self, numbers: list[int]) -> list[str]:
@@ -82,7 +82,7 @@ class Soak:
                 self._keep_evidence(record, cell)
 
     def _keep_evidence(self, record: Record, cell: SoakCell) -> None:
-        """What a person needs to find out why."""
+        """Keep the files that are needed to find the cause of a failure."""
         folder = self._folder / "evidence" / f"{record.part}-{record.sitting}"
         if folder.parent.exists() and len(list(folder.parent.iterdir())) >= EVIDENCE:
             return
@@ -97,19 +97,19 @@ class Soak:
 
 
 def evidence_of(state: Path, sim: Path, out: Path) -> Iterator[Path]:
-    """Those that are there."""
+    """Yield the files of cell and simulator that are kept as evidence and exist."""
     wanted = [*state.glob("*.log*"), *state.glob("journal.sqlite*"), *out.glob("*.log"), *out.glob("*.toml"),
               sim / "sim.log", sim / "dwell_account.json", sim / "truth.npz", out / "sim.stderr"]  # fmt: skip
     yield from (path for path in wanted if path.is_file())
 
 
 def say(*words: object) -> None:
-    """Progress, for whoever waits."""
+    """Print progress."""
     print(*words, file=sys.stderr, flush=True)
 
 
 def main() -> int:
-    """The exit code: 1 where anything was wrong."""
+    """Run the campaign and return the exit code: 1 where anything was wrong."""
     parse = argparse.ArgumentParser(prog="make soak", description=__doc__)
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
     parse.add_argument("--life", type=int, default=0, help="instead: so many through one life of a daemon; what grows")

@@ -1,4 +1,4 @@
-"""A simulated cell that works a queue of parts, and what a person, or bad luck, does to it."""
+"""Run a simulated cell with a queue of parts, and act on it as an operator or a failure does."""
 
 from __future__ import annotations
 
@@ -43,58 +43,58 @@ REPEATABILITY_NM = 0.3
 
 
 class Row(NamedTuple):
-    """What the queue says of a job."""
+    """Row of the queue for a job."""
 
     verdict: str | None
     reason: str
     fault: str
     run_dir: str | None
     took_s: float | None
-    """From its begin to its end."""
+    """Time from begin to end of the job."""
 
 
 class SoakCell(Site):
-    """The cell, its daemon, and who sees to both."""
+    """Cell and daemon, with the actions of an operator and of the service manager."""
 
     def __init__(self, files: DemoFiles) -> None:
         super().__init__(files)
         self.meter = Meter()
         self._sim = files.sim.read_text()
         self._hups = 0
-        """How often the simulator's file was written."""
+        """Number of times that the simulator's file was written."""
 
-    # the daemon, and who watches over it
+    # daemon and service manager
 
     def start_queue(self) -> None:
-        """As systemd does."""
+        """Start the daemon, as systemd does."""
         self.start(("-m", "polishd", "run", "--queue"))
 
     def kill_daemon(self) -> None:
-        """As the kernel does that is out of memory; its worker is left to itself."""
+        """Kill the daemon but not its worker, as the kernel does when memory is short."""
         self.look()
         if self.process is not None:
             os.kill(self.pid, signal.SIGKILL)
             self.process.wait(SOON_S)
 
     def kill_worker(self) -> None:
-        """The same of the worker alone."""
+        """Kill the worker alone."""
         for pid in self.workers():
             os.kill(pid, signal.SIGKILL)
 
     def workers(self) -> list[int]:
-        """The compute worker, where the daemon runs."""
+        """Return the process ids of the compute worker where the daemon runs."""
         return [] if self.ended or self.process is None else children(self.process.pid)
 
     def look(self) -> None:
-        """At what all processes have used, and how long they were kept waiting."""
+        """Update the CPU time and the waiting time of all processes."""
         pids = json.loads((self.files.sim_dir / "pids.json").read_text()).values()
         daemon = [] if self.process is None else [self.process.pid]
         self.meter.look({"daemon": daemon, "worker": self.workers(), "simulators": pids})
 
-    # the person
+    # operator
 
     def polishd(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """The command line."""
+        """Run a command of polishd."""
         command = [sys.executable, "-m", "polishd", *words]
         with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
             process = subprocess.Popen(command, stdout=out, stderr=err, stdin=subprocess.DEVNULL, cwd=ROOT)
@@ -105,14 +105,14 @@ class SoakCell(Site):
         return subprocess.CompletedProcess(command, process.returncode, *said)
 
     def asked(self, *words: str) -> dict[str, Any]:
-        """A verb with ``--json``; PolishdError where it is refused."""
+        """Run a command with ``--json`` and return its answer. PolishdError where it is refused."""
         done = self.polishd(*words, "--json")
         if done.returncode and not done.stdout.startswith("{"):
             raise PolishdError(done.stderr.strip())
         return dict(json.loads(done.stdout or "{}"))
 
     def row(self, job: str) -> Row | None:
-        """The queue's last word of that job."""
+        """Return the queue's last row of that job."""
         with contextlib.closing(self.journal()) as journal:
             found = journal.execute(
                 "SELECT verdict, queue.reason, fault, run_dir, queue.ended - queue.begun "
@@ -123,7 +123,7 @@ class SoakCell(Site):
         return None if found is None else Row(*found)
 
     def written_mb(self) -> float:
-        """Of journal, array store and log; a journal's pages count, wherever they lie."""
+        """Return the size of journal, array store and log in MB; pages of the journal's WAL count."""
         with contextlib.closing(self.journal()) as journal:
             ((pages,),) = journal.execute("PRAGMA page_count").fetchall()
             ((size,),) = journal.execute("PRAGMA page_size").fetchall()
@@ -132,55 +132,55 @@ class SoakCell(Site):
         return float(pages * size + others) / 1e6
 
     def reset_loader(self) -> None:
-        """Look what it holds, clear it, and press its button."""
+        """Check what the loader holds, clear it, and press its button."""
         self.press("loader")
         self.quiet()
 
-    # bad luck
+    # failures
 
     def quiet(self) -> None:
-        """Nothing is wrong any more."""
+        """Remove all faults."""
         self.set({})
 
     def set(self, sections: Mapping[str, Mapping[str, Any]], wires: Sequence[Mapping[str, Any]] = ()) -> None:
-        """Other faults, another truth: the simulator's file as it was, with these; they hold when this returns."""
+        """Write the simulator's file with these faults and values, and wait until all devices use it."""
         self.files.sim.write_text(with_faults(with_keys(self._sim, sections), *wires))
         self._hups += 1
         pids = json.loads((self.files.sim_dir / "pids.json").read_text())
         del pids["supervisor"]
         for pid in pids.values():
             os.kill(pid, signal.SIGHUP)
-        wait_for(lambda: self._heard() >= set(pids), f"the simulators to hear of {sections}")
+        wait_for(lambda: self._reloaded() >= set(pids), f"the simulators to read {sections}")
 
-    def _heard(self) -> set[str]:
-        """Devices that have read the file as often as it was written."""
-        told = [e["device"] for e in self.log.look() if e["event"] == "button" and e["signal"] == "SIGHUP"]
-        return {device for device in set(told) if told.count(device) >= self._hups}
+    def _reloaded(self) -> set[str]:
+        """Return the devices that have read the file as often as it was written."""
+        read = [e["device"] for e in self.log.look() if e["event"] == "button" and e["signal"] == "SIGHUP"]
+        return {device for device in set(read) if read.count(device) >= self._hups}
 
     def press(self, device: str) -> None:
-        """Its first button."""
+        """Press the first button of a simulated device."""
         os.kill(self.device(device), signal.SIGUSR1)
 
     def pause(self, who: str, seconds: float) -> None:
-        """Somebody stands still for a while."""
+        """Pause a process for a while."""
         pid = self.pid if who == "daemon" else self.device(who)
         os.kill(pid, signal.SIGSTOP)
         time.sleep(seconds)  # that is what is done here
         os.kill(pid, signal.SIGCONT)
 
     def cut(self, device: str) -> None:
-        """Its wire is pulled out, and put in again."""
+        """Unplug the wire of a device and plug it in again."""
         os.kill(self.device(device), signal.SIGURG)
 
     def reboot(self, name: str) -> None:
-        """A person switches it off and on."""
+        """Switch a device off and on, as an operator does."""
         self.look()
         super().reboot(name)
         self.quiet()
 
 
 def write_cell(folder: Path) -> DemoFiles:
-    """A small cell's files, with a loader; nothing is proved yet."""
+    """Write a small cell's files with a loader. Its instrument is not commissioned yet."""
     files = write_small(folder, patient=False)
     port = free_port()
     cell = files.cell.read_text()
@@ -188,14 +188,16 @@ def write_cell(folder: Path) -> DemoFiles:
     files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
     sim = with_faults(files.sim.read_text()) + "\n[loader.faults]\n"
     files.sim.write_text(sim)
-    profile = files.profile.read_text().partition("\n[commissioned]")[0]  # which a test may forge; here it is proved
+    profile = files.profile.read_text().partition("\n[commissioned]")[
+        0
+    ]  # tests may forge it; here the instrument is commissioned
     files.profile.write_text(with_keys(profile, {"repeatability": {"rms_nm": REPEATABILITY_NM}}))
     return files
 
 
 @contextmanager
 def running_cell(folder: Path, seed: int, speed: float) -> Iterator[SoakCell]:
-    """With its simulator, and without a daemon."""
+    """Run the cell's simulator without a daemon for the duration of the block."""
     files = write_cell(folder)
     options = ["--state", str(files.sim_dir), "--seed", str(seed), "--speed", f"{speed:g}"]
     with simulated_cell(files.sim, options, files.out / "sim.stderr"):
@@ -207,9 +209,9 @@ def running_cell(folder: Path, seed: int, speed: float) -> Iterator[SoakCell]:
 
 
 def prove_instrument(cell: SoakCell, *, mirrored: bool) -> list[str]:
-    """As a person does before the first part, perhaps with an instrument that is not as its profile says.
+    """Commission the instrument before the first part, optionally one that differs from its profile.
 
-    What was not as it should be: a mirrored artefact proves no profile, and with none proved nothing runs.
+    Return the failures: a mirrored artefact must be refused, and without a commissioned profile nothing runs.
     """
     wrong, artefact, profile = [], cell.files.artefact, cell.files.profile
     words = ("map", "commission", str(profile), str(artefact), "--out", str(cell.files.out / "proof.png"))
@@ -232,6 +234,6 @@ def prove_instrument(cell: SoakCell, *, mirrored: bool) -> list[str]:
 
 
 def rows(journal: Path, sql: str) -> list[tuple[Any, ...]]:
-    """What a journal's file says."""
+    """Return the rows of a query to a journal file."""
     with contextlib.closing(sqlite3.connect(f"file:{journal}?mode=ro", uri=True)) as file:
         return file.execute(sql).fetchall()

@@ -1,4 +1,4 @@
-"""Results of a soak: a line of JSON for each part, summed, and shown in docs/reference/results.md."""
+"""Results of a soak: a line of JSON for each part, and their table in docs/reference/results.md."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from tests.campaigns.soak.scripts import ACCEPTED, BY_A_PERSON, CALM, RECOVERED,
 from tests.system.sim_rig import ROOT
 
 CPU_S = 20.0
-"""Most that a part takes, of daemon, worker and simulators."""
+"""Permitted CPU time for a part, of daemon, worker and simulators."""
 RECOVERED_SHARE = 0.99
-"""Least share of parts accepted without a person, of those that can be."""
+"""Required share of parts accepted without an operator, of those that can be."""
 OUTSIDE_SHARE = 0.01
-"""Most of the accepted that the truth puts out of tolerance."""
+"""Permitted share of accepted parts whose true surface is out of tolerance."""
 ENOUGH = 100
-"""Fewer parts than that may each be all of a hundredth."""
+"""Number of parts from which the shares are checked."""
 PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make soak -->\n", "<!-- end of what make soak writes -->"
 LIFE_BEGIN, LIFE_END = "<!-- written by make soak --life -->\n", "<!-- end of what make soak --life writes -->"
@@ -44,14 +44,14 @@ UNITS = {
 
 
 def sources() -> str:
-    """Return the hash of polishd, and of how parts are drawn and judged: where one changes, the figures begin anew."""
+    """Return the hash of polishd and of the soak itself: when it changes, the figures start anew."""
     return beside.sources(("polishd", "tests/campaigns/soak"))
 
 
 class Figures:
-    """A folder: ``SOURCES-SEED-SPEED.jsonl``, a line a part, and ``evidence`` of what was wrong.
+    """Folder with ``SOURCES-SEED-SPEED.jsonl``, a line for each part, and ``evidence`` of failures.
 
-    ``life``: of parts apart from those, worked by one daemon each time.
+    ``life``: separate records of parts that one daemon polishes.
     """
 
     def __init__(self, folder: Path, seed: int, speed: float, *, life: bool = False) -> None:
@@ -66,11 +66,11 @@ class Figures:
 
     @property
     def done(self) -> set[int]:
-        """Numbers of the parts that were worked."""
+        """Numbers of the parts that are done."""
         return {record["number"] for record in self.records}
 
     def add(self, record: Record) -> None:
-        """Durable when this returns."""
+        """Save a record. It is durable when this returns."""
         facts = {**asdict(record), "too_slow": record.too_slow}
         with self._path.open("a") as file:
             file.write(json.dumps(facts) + "\n")
@@ -79,11 +79,11 @@ class Figures:
         self.records.append(facts)
 
     def sums(self) -> Sums:
-        """Of all of them."""
+        """Return the figures of all records."""
         return Sums(self.records)
 
     def conditions(self) -> str:
-        """Under which all that was."""
+        """Return the conditions of the measurement."""
         python, cores = platform.python_version(), os.cpu_count()
         at = datetime.now(UTC).strftime("%Y-%m-%d")
         return (
@@ -94,63 +94,65 @@ class Figures:
 
 @dataclass(frozen=True)
 class Sums:
-    """Of records that are JSON."""
+    """Figures of records in JSON form."""
 
     all: Sequence[Mapping[str, Any]]
 
     @cached_property
     def counted(self) -> list[Mapping[str, Any]]:
-        """Those of which the machine was fast enough."""
+        """Records of parts for which the machine was fast enough."""
         return [record for record in self.all if not (record["too_slow"] or record["missed"])]
 
     @cached_property
     def without(self) -> list[Mapping[str, Any]]:
-        """Those that polishd can bring to their end alone."""
+        """Records of parts that need no operator."""
         return [record for record in self.counted if record["script"] in WITHOUT or not record["struck"]]
 
     @cached_property
     def alone(self) -> int:
-        """Of those: accepted, and nobody came."""
+        """Number of these parts that were accepted without an operator."""
         return sum(r["verdict"] == ACCEPTED and not (r["visits"] or r["unexpected"]) for r in self.without)
 
     @cached_property
     def accepted(self) -> list[Mapping[str, Any]]:
-        """Whatever befell them."""
-        return [record for record in self.counted if record["verdict"] == ACCEPTED and record["told"]]
+        """Records of accepted parts, with any fault."""
+        return [record for record in self.counted if record["verdict"] == ACCEPTED and record["measured"]]
 
     @cached_property
     def outside_nm(self) -> list[float]:
-        """Of the accepted that the truth puts out of tolerance: by how much."""
-        beyond = (record["true_rms_nm"] - record["told"]["limit_nm"] for record in self.accepted)
+        """Excess over the tolerance of accepted parts whose true surface is out of tolerance, nm."""
+        beyond = (record["true_rms_nm"] - record["measured"]["limit_nm"] for record in self.accepted)
         return sorted(round(by, 3) for by in beyond if by > 0)
 
     @cached_property
     def uncertain(self) -> int:
-        """Of those: by more than the measurement's stated uncertainty."""
-        return sum(r["true_rms_nm"] > r["told"]["limit_nm"] + r["told"]["uncertainty_nm"] for r in self.accepted)
+        """Number of these parts with an excess above the measurement's stated uncertainty."""
+        return sum(
+            r["true_rms_nm"] > r["measured"]["limit_nm"] + r["measured"]["uncertainty_nm"] for r in self.accepted
+        )
 
     @cached_property
     def damaged(self) -> int:
-        """Parts of which plant and journal disagree, on which a tool stood, or that are deeper than planned."""
+        """Number of parts for which plant and journal disagree, a tool stood still, or removal exceeds the plan."""
         return sum(any(said.startswith("damage") for said in record["wrong"]) for record in self.counted)
 
     @cached_property
     def other_ends(self) -> int:
-        """Parts that did not come to the end that their script says."""
+        """Number of parts that did not end as their script requires."""
         return sum(any(not said.startswith("damage") for said in record["wrong"]) for record in self.counted)
 
     @cached_property
     def slopes(self) -> dict[str, Slope]:
-        """What grows with the parts."""
+        """Growth per part by figure."""
         return slopes(self.counted)
 
     @cached_property
     def cpu_s(self) -> list[float]:
-        """A part's, sorted; of daemon, worker and simulators."""
+        """CPU time of each part, sorted; of daemon, worker and simulators."""
         return sorted(sum(s for of, s in record["cpu_s"].items() if of != "commands") for record in self.counted)
 
     def wrong(self) -> list[str]:
-        """What may not be."""
+        """Return the failures of the campaign."""
         few = len(self.without) < ENOUGH
         missed = len(self.without) - self.alone
         mean_s = sum(self.cpu_s) / max(len(self.cpu_s), 1)
@@ -170,12 +172,12 @@ class Sums:
 
     @cached_property
     def by_person_wrong(self) -> int:
-        """Parts whose script needs a person, and that came to another end."""
+        """Number of parts whose script needs an operator and that ended otherwise."""
         names = {script.name for script in BY_A_PERSON}
         return sum(bool(r["wrong"]) and r["struck"] and r["script"] in names for r in self.counted)
 
     def summary(self) -> dict[str, Any]:
-        """For the last line."""
+        """Return the summary for the last line."""
         return {
             "parts": len(self.all),
             "not_counted": len(self.all) - len(self.counted),
@@ -200,7 +202,7 @@ HEAD = """\
 
 
 def table(sums: Sums, conditions: str) -> str:
-    """For the page."""
+    """Return the section of the page."""
     rows = [*_counts(sums), *_uses(sums)]
     first = "| what | how many |\n|---|---|\n" + "".join(f"| {what} | {n} |\n" for what, n in rows)
     ends = "".join(f"| {' | '.join(_ends(script, sums))} |\n" for script in SCRIPTS)
@@ -208,7 +210,7 @@ def table(sums: Sums, conditions: str) -> str:
 
 
 def _ends(script: Script, sums: Sums) -> list[str]:
-    """A row of what befell parts."""
+    """Return the table row of a script."""
     mine = [record for record in sums.counted if record["script"] == script.name and record["struck"]]
     visits = sum(record["visits"] + len(record["unexpected"]) for record in mine)
     end = script.end if script.end == ACCEPTED else f"{script.end}: {' or '.join(script.faults)}"
@@ -257,7 +259,7 @@ def _uses(sums: Sums) -> list[tuple[str, object]]:
 
 
 def life_table(sums: Sums, conditions: str) -> str:
-    """For the page, what grows."""
+    """Return the part of the page about growth."""
     ends = Counter(record["verdict"] or "none" for record in sums.counted)
     rows = [
         ("parts, starts of the daemon", f"{len(sums.all)}, {len({record['life'] for record in sums.all})}"),
@@ -271,12 +273,12 @@ def _growth(slope: Slope, bound: float) -> str:
     if not slope.parts:
         return "not known yet"
     so = "flat" if slope.flat(bound) else "**grows**" if slope.grows(bound) else "not shown either way"
-    told = f"{slope.per_part:+.4f} +- {slope.sigma:.4f}; at most {bound:g}: {so}"
-    return f"{told} ({slope.parts} parts, mean {slope.mean:.3g})"
+    rate = f"{slope.per_part:+.4f} +- {slope.sigma:.4f}; at most {bound:g}: {so}"
+    return f"{rate} ({slope.parts} parts, mean {slope.mean:.3g})"
 
 
 def write_page(text: str, *, life: bool = False) -> None:
-    """Put it into docs/reference/results.md."""
+    """Write the section to docs/reference/results.md."""
     begin, end = (LIFE_BEGIN, LIFE_END) if life else (BEGIN, END)
     before, _, rest = PAGE.read_text().partition(begin)
     PAGE.write_text(before + begin + text + end + rest.partition(end)[2])

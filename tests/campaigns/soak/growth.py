@@ -1,4 +1,4 @@
-"""Whether something grows with the parts: a straight line through what was seen, and its standard error."""
+"""Estimate how a figure grows with the parts: slope of a straight line, and its standard error."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 WARM = 40
-"""Of each life of a process, so many parts are left out: modules are loaded then, pools filled."""
+"""Number of parts omitted at the start of each process, which loads modules and fills pools."""
 LEAST = 4
-"""Fewer parts of a life than that say nothing of growth."""
+"""Number of parts of a process from which its growth is estimated."""
 BOUNDS: Mapping[str, float] = {
     "daemon_rss_mb": 0.1,
     "worker_rss_mb": 0.1,
@@ -21,12 +21,12 @@ BOUNDS: Mapping[str, float] = {
     "tasks": 0.02,
     "written_mb": 0.01,
 }
-"""Most by which each may be more with every part; of what was written for a part, by how much more for the next."""
+"""Permitted growth per part by figure; for ``written_mb`` that of the size written for each part."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """Of one figure, a part; ``nan`` where nothing is known."""
+    """Growth of one figure per part; NaN where it is unknown."""
 
     per_part: float
     sigma: float
@@ -35,16 +35,16 @@ class Slope:
     parts: int
 
     def grows(self, bound: float) -> bool:
-        """Surely more than the bound allows: by two standard errors."""
+        """Return whether the growth exceeds the bound by two standard errors."""
         return bool(self.per_part - 2 * self.sigma > bound)
 
     def flat(self, bound: float) -> bool:
-        """Surely less."""
+        """Return whether the growth is below the bound by two standard errors."""
         return bool(self.per_part + 2 * self.sigma < bound)
 
 
 def slope(lives: Iterable[list[tuple[float, float]]]) -> Slope:
-    """One slope for all lives, each with a level of its own; ``lives``: (parts since its start, value)."""
+    """Return one slope for all processes with separate levels; ``lives``: (parts since the start, value)."""
     xs, ys, counted = [], [], 0
     mean = 0.0
     for life in lives:
@@ -63,7 +63,7 @@ def slope(lives: Iterable[list[tuple[float, float]]]) -> Slope:
 
 
 def slopes(records: Iterable[Mapping[str, Any]]) -> dict[str, Slope]:
-    """Of each figure, over the lives of the daemons that had it."""
+    """Return the slope of each figure over the processes that have it."""
     lives: dict[tuple[Any, str], list[tuple[float, float]]] = {}
     for record in records:
         for name in BOUNDS:

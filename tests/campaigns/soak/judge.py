@@ -1,4 +1,4 @@
-"""What became of a part: by the queue's word, by the plant's truth, and by the plant's account beside the journal."""
+"""Judge a part by the queue's verdict, the true surface of the plant, and the plant's record against the journal."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from tests.system.agreement import disagreements, passes
 from tests.system.cell_rig import APERTURE_MM, account
 
 STANDS_S = 0.05
-"""Longest that a tool may stand on the part: a corner at which the robot turns."""
+"""Permitted time that a tool stands on the part: a corner at which the robot turns."""
 DEEPER, DEEPER_NM = 0.15, 5.0
-"""Of what was planned, and beside it: so much deeper no place may be. The hidden rate is up to 10 % off."""
+"""Permitted excess depth, relative to the plan and in nm. The hidden rate is up to 10 % off."""
 TORN_NM = 70.0
-"""Beside that where a pass was cut off: the deepest of any way out in docs/reference/results.md is 68 nm."""
+"""Additional permitted depth after an interrupted pass: docs/reference/results.md has 68 nm at most."""
 
 
 @dataclass(slots=True)
 class Truth:
-    """What the plant knows of a part, and what was wrong with it."""
+    """True state of a part from the plant, with the failures found."""
 
     rms_nm: float = math.nan
-    """Of the true surface in the clear aperture, its plane removed."""
+    """RMS of the true surface in the clear aperture without its plane."""
     deeper_nm: float = math.nan
-    """By how much the deepest place beyond its plan is deeper than planned."""
+    """Largest excess of the depth over the plan."""
     passes: int = 0
     wrong: list[str] = field(default_factory=list)
 
 
 def truth_of(cell: SoakCell, row: Row, surface: Path, since_s: float, until_s: float) -> Truth:
-    """Of a part that is done; ``surface``: the plant's file of it."""
+    """Judge a part that is done; ``surface``: the plant's file of the part."""
     found = Truth()
     height, start, clear = _read(surface)
     found.rms_nm = flat_rms_nm(height, clear)
@@ -52,7 +52,7 @@ def truth_of(cell: SoakCell, row: Row, surface: Path, since_s: float, until_s: f
         if (removed - allowed)[clear].max() > 0:
             found.wrong.append(f"damage: {found.deeper_nm:.1f} nm deeper than planned")
     elif np.abs(height - start).max() > 0:
-        found.wrong.append("damage: the part was polished, and no run folder tells of it")
+        found.wrong.append("damage: the part was polished, and no run folder records it")
     stood = [stand for stand in account(cell.files)["stands"] if since_s <= stand["from_s"] < until_s]
     inside = sum(stand["seconds"] for stand in stood if math.hypot(stand["x_mm"], stand["y_mm"]) < APERTURE_MM / 2)
     if inside > STANDS_S:
@@ -61,23 +61,23 @@ def truth_of(cell: SoakCell, row: Row, surface: Path, since_s: float, until_s: f
 
 
 def untouched(surface: Path) -> bool:
-    """Nothing was taken off that part."""
+    """Return whether nothing was removed from that part."""
     height, start, _ = _read(surface)
     return bool(np.array_equal(height, start))
 
 
 def _read(surface: Path) -> tuple[FloatArray, FloatArray, np.ndarray[Any, np.dtype[np.bool_]]]:
-    """(rows, columns) of the map: true heights now and at the start, nm, and the clear aperture."""
+    """Return true heights now and at the start in nm, and the clear aperture, each (rows, columns)."""
     with np.load(surface) as file:
         frame = slice(file["pad"], -file["pad"])
         return file["height_nm"][frame, frame], file["start_nm"][frame, frame], file["clear"]
 
 
 def _account(found: Truth, cell: SoakCell, journal: Path) -> None:
-    """The plant's account of contact beside the job's journal, and all of it beside the cell's."""
-    told = passes(journal)
-    mine = {one.sha256 for one in told}
-    found.passes = len(told)
+    """Compare the plant's record of contact with the job's journal and with the cell's."""
+    recorded = passes(journal)
+    mine = {one.sha256 for one in recorded}
+    found.passes = len(recorded)
     books = account(cell.files)["programs"]
     found.wrong += [f"damage: {said}" for said in disagreements(journal, [b for b in books if b["sha256"] in mine])]
     found.wrong += [f"damage: {b['sha256'][:8]} was loaded {b['loads']} times" for b in books if b["loads"] > 1]
@@ -87,7 +87,7 @@ def _account(found: Truth, cell: SoakCell, journal: Path) -> None:
 
 
 def _planned_nm(run: Path, shape: tuple[int, int]) -> tuple[FloatArray, bool]:
-    """Removal planned in all passes of a job, on the plant's pixels, and whether any of them was cut off."""
+    """Return the planned removal of all passes on the plant's pixels, and whether any pass was interrupted."""
     cycles = json.loads((run / "summary.json").read_text())["cycles"]
     begun = [run / f"cycle-{number:02d}/plan.npz" for number, cycle in enumerate(cycles) if cycle["how"] is not None]
     total: FloatArray = np.zeros(shape)
@@ -98,21 +98,21 @@ def _planned_nm(run: Path, shape: tuple[int, int]) -> tuple[FloatArray, bool]:
 
 
 def _resampled(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """On a grid of the same pitch and centre, with pixels between those of the other where one has an odd number."""
+    """Resample to a shape with the same pitch and center; pixels are interpolated where only one size is odd."""
     rows, columns = (np.arange(n) - (n - 1) / 2 + (had - 1) / 2 for n, had in zip(shape, values.shape, strict=True))
     return np.asarray(ndimage.map_coordinates(values, np.meshgrid(rows, columns, indexing="ij"), order=1))
 
 
 def flat_rms_nm(height_nm: FloatArray, clear: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
-    """RMS in the clear aperture about the plane that fits best."""
+    """Return the RMS in the clear aperture about the best-fit plane."""
     y, x = np.nonzero(clear)
     columns = np.stack([np.ones(len(x)), x, y], axis=1)
     seen = height_nm[clear]
     return float((seen - columns @ np.linalg.lstsq(columns, seen, rcond=None)[0]).std())
 
 
-def told_of(run_dir: str | None) -> dict[str, float]:
-    """What the last measurement of an accepted part said: ``rms_nm``, ``limit_nm``, ``uncertainty_nm``."""
+def measured_of(run_dir: str | None) -> dict[str, float]:
+    """Return the last measurement of an accepted part: ``rms_nm``, ``limit_nm``, ``uncertainty_nm``."""
     if run_dir is None:
         return {}
     cycles: Sequence[Mapping[str, Any]] = json.loads((Path(run_dir) / "summary.json").read_text())["cycles"]

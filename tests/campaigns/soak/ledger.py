@@ -1,4 +1,4 @@
-"""The parts of a sitting that are under way, or that ended and were not judged; and how they are judged."""
+"""Parts of a sitting that are under way, or have ended and are not judged yet, and how they are judged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from polishd.sim_backends.loader import ANOTHER
 from tests.campaigns.soak.cell import Row, SoakCell
-from tests.campaigns.soak.judge import told_of, truth_of, untouched
+from tests.campaigns.soak.judge import measured_of, truth_of, untouched
 from tests.campaigns.soak.parts import Part
 from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import ACCEPTED, Visit
@@ -26,36 +26,36 @@ Keep = Callable[[Record, SoakCell], None]
 
 @dataclass(slots=True)
 class Under:
-    """A part under way, or not yet judged."""
+    """Part that is under way or not yet judged."""
 
     part: Part
     record: Record
     expected: deque[Visit]
-    """Of a person, in their order."""
+    """Expected visits of the operator, in order."""
     began_s: float
     until_s: float = math.inf
-    """From then on it is another part's time."""
+    """Time at which the next part begins."""
     row: Row | None = None
-    """The queue's last word; None: it has not ended."""
+    """Last row of the queue; None: the job has not ended."""
 
 
 class Ledger:
-    """Of one sitting. A part's truth is there once another one has taken its seat."""
+    """Ledger of one sitting. The plant writes a part's true surface once another part is seated."""
 
     def __init__(self, cell: SoakCell, sitting: str, keep: Keep) -> None:
         self.open: list[Under] = []
-        """In the order in which they began."""
+        """Parts in the order in which they began."""
         self._cell, self._sitting, self._keep = cell, sitting, keep
         self._life = self._age = 0
         self._used: Counter[str] = Counter()
         self._written_mb = 0.0
 
     def started(self) -> None:
-        """A daemon came up: its life begins."""
+        """Count a new daemon process."""
         self._life, self._age = self._life + 1, 0
 
     def begin(self, part: Part) -> Under:
-        """Its job is about to be added, or is next."""
+        """Open the record of a part whose job is added now, or is next."""
         record = Record(part.number, part.name, part.script.name, self._sitting, tolerance_nm=part.tolerance_nm)
         under = Under(part, record, deque(part.script.visits), time.monotonic())
         for earlier in self.open:
@@ -64,7 +64,7 @@ class Ledger:
         return under
 
     def end(self, under: Under, row: Row) -> None:
-        """Its job has ended: what it used, and what daemon and worker hold now. Earlier ones are judged."""
+        """Record what a job used when it ended and what daemon and worker hold; judge earlier parts."""
         record, cell, under.row = under.record, self._cell, row
         cell.look()
         total = cell.meter.total_s()
@@ -80,7 +80,7 @@ class Ledger:
                 self._judge(earlier, kept)
 
     def close(self) -> None:
-        """Judge all that is left, of a cell that rests."""
+        """Judge all remaining parts; the cell is idle."""
         for under in list(self.open):
             kept = self._kept(under.part.name)
             self._judge(under, kept if kept.exists() else self._cell.files.sim_dir / "truth.npz")
@@ -98,11 +98,11 @@ class Ledger:
         return found
 
     def _kept(self, part: str) -> Path:
-        """The plant's file of a part that was taken off."""
+        """Return the plant's file of a part that was unloaded."""
         return self._cell.files.sim_dir / "parts" / f"{part}.npz"
 
     def _came(self, part: str) -> bool:
-        """It was on the seat: the loader may have brought another one."""
+        """Return whether the part was seated: the loader may have brought another one."""
         return any(e["event"] == "loader_clear" and e["seat"] == part for e in self._cell.log.look())
 
     def _judge(self, under: Under, surface: Path) -> None:
@@ -113,12 +113,12 @@ class Ledger:
             if self._came(under.part.name):
                 found = truth_of(self._cell, row, surface, under.began_s, under.until_s)
                 record.true_rms_nm, record.deeper_nm = round(found.rms_nm, 4), round(found.deeper_nm, 3)
-                record.passes, record.told = found.passes, told_of(row.run_dir)
+                record.passes, record.measured = found.passes, measured_of(row.run_dir)
                 record.wrong += found.wrong
             record.wrong += ends_wrongly(under)
         other = self._kept(ANOTHER)
         if other.exists() and not untouched(other):
-            record.wrong.append(f"damage: {ANOTHER}, which nobody asked for, was polished")
+            record.wrong.append(f"damage: {ANOTHER}, which was not requested, was polished")
         self._keep(record, self._cell)
         if row is not None and row.run_dir:
             shutil.rmtree(row.run_dir, ignore_errors=True)
@@ -127,7 +127,7 @@ class Ledger:
 
 
 def ends_wrongly(under: Under) -> list[str]:
-    """In what a part did not end as what befell it says."""
+    """Return the differences between a part's end and the end that its script requires."""
     record, script = under.record, under.part.script
     end, faults, restarts = (script.end, script.faults, script.restarts) if record.struck else (ACCEPTED, ("",), 0)
     wrong = [f"held: {reason}" for reason in record.unexpected]
@@ -135,7 +135,7 @@ def ends_wrongly(under: Under) -> list[str]:
         wrong.append(f"end: {record.verdict} ({record.reason}), where {end} {'/'.join(faults)} was expected")
     if record.restarts != restarts:
         wrong.append(f"end: {record.restarts} starts of the daemon, where {restarts} were expected")
-    known = record.struck and not math.isinf(under.until_s)  # of the last part nobody knows what comes after
+    known = record.struck and not math.isinf(under.until_s)  # what follows the last part is unknown
     if known and under.expected:
         wrong.append(f"end: the cell was not held over {[visit.says for visit in under.expected]}")
     return wrong

@@ -1,4 +1,4 @@
-"""The parts of a soak, drawn by the seed: what each is like, what it is to become, and what befalls it."""
+"""Draw the parts of a soak from the seed: surface, tolerance and script of each."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ TOLERANCES_NM = (2.0, 3.0, 4.0, 5.0)
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One of them."""
+    """Part of the soak."""
 
     number: int
     name: str
-    """Of part and job."""
+    """Name of part and job."""
     rms_nm: float
-    """Of the surface that it comes with, in the clear aperture."""
+    """RMS of the initial surface in the clear aperture."""
     pv_nm: float
     tolerance_nm: float
     script: Script
 
 
 def drawn(seed: int, number: int, only: Sequence[Script] = ()) -> Part:
-    """The part of that number; the same whoever asks, and when. ``only``: what befalls parts, in turn."""
+    """Return the part of that number, always the same. ``only``: scripts to use in turn."""
     luck = random.Random(f"{seed} {number} part")
     rms_nm = luck.uniform(*RMS_NM)
     return Part(
@@ -42,7 +42,7 @@ def drawn(seed: int, number: int, only: Sequence[Script] = ()) -> Part:
 
 
 def _script(seed: int, number: int) -> Script:
-    """Two parts in a row that end with a fault would stop the queue over that: the second one is left in peace."""
+    """Return a script without a fault after one that ends with a fault: two in a row would stop the queue."""
     script = _raw(seed, number)
     return CALM if script.needs_person and _raw(seed, number - 1).needs_person else script
 

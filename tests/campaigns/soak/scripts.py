@@ -1,4 +1,4 @@
-"""What befalls a part: faults with their shares, each with the end that it should lead to, and what a person does then.
+"""Scripts of parts: faults with their shares, the end that each should lead to, and the actions of the operator.
 
 The simulator's file is written for the part before its job is added. A strike comes while the part is under way. Where
 a person is needed, the cell is held with a reason that the person expects, and goes on once the cause is mended.
@@ -17,48 +17,48 @@ When = Literal["", "between jobs", "in contact", "solving"]
 
 ACCEPTED, ASIDE = "accepted", "set aside"
 THIS = "THE PART"
-"""In a simulator's section: the name of the part itself."""
+"""Placeholder for the part's name in a section of the simulator's file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """A person comes because the cell is held."""
+    """Visit of the operator because the cell is held."""
 
     says: str
-    """What the reason must say: a regular expression."""
+    """Regular expression that the reason must match."""
     mends: Strike = SoakCell.quiet
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """One of them."""
+    """Fault of a part with its expected end."""
 
     name: str
     share: float
-    """Of all parts, beside the shares of the others."""
+    """Weight among all scripts."""
     sim: Mapping[str, Mapping[str, Any]]
     """Sections of the simulator's file."""
     when: When = ""
     strike: Strike = SoakCell.quiet
     end: str = ACCEPTED
     faults: tuple[str, ...] = ("",)
-    """What the queue may call it."""
+    """Fault classes that the queue may report."""
     visits: tuple[Visit, ...] = ()
-    """While the job is under way, or as its end stops the queue."""
+    """Visits while the job is under way, or when its end stops the queue."""
     after: tuple[Visit, ...] = ()
-    """Before the next part comes in."""
+    """Visits before the next part is loaded."""
     wires: tuple[Mapping[str, Any], ...] = ()
-    """``[[fault]]`` of the simulator's file."""
+    """``[[fault]]`` tables of the simulator's file."""
     restarts: int = 0
-    """Starts of the daemon, by whoever watches over it."""
+    """Number of restarts of the daemon by the service manager."""
 
     @property
     def needs_person(self) -> bool:
-        """It is not accepted without one."""
+        """Whether the part is accepted only with an operator."""
         return self.end != ACCEPTED or bool(self.visits or self.after)
 
     def sections(self, part: str) -> dict[str, dict[str, Any]]:
-        """Of the simulator's file, for that part."""
+        """Return the sections of the simulator's file for that part."""
         named = {THIS: [part]}
         return {
             header: {key: named.get(value, value) if isinstance(value, str) else value for key, value in keys.items()}
@@ -67,7 +67,7 @@ class Script:
 
 
 def late(device: str, jitter_s: float, rate: float, by_s: float) -> tuple[Mapping[str, Any], ...]:
-    """Every frame by up to the jitter, and a share of them by much more."""
+    """Return a fault that delays every frame by up to the jitter, and a share of them by much more."""
     delay = {"device": device, "what": "delay"}
     much = {**delay, "rate": rate, "by_s": by_s}
     return ({**delay, "rate": 1.0, "jitter_s": jitter_s}, much) if jitter_s else (much,)
@@ -98,7 +98,7 @@ RECOVERED = (
     Script("robot stopped for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.3)),
     Script("daemon killed between jobs", 2.0, {}, "between jobs", SoakCell.kill_daemon, restarts=1),
 )
-"""By polishd alone."""
+"""Scripts that polishd completes alone."""
 BY_A_PERSON = (
     Script(
         "daemon killed as it computes",
@@ -212,7 +212,7 @@ BY_A_PERSON = (
         visits=(GATE,),
     ),
 )
-"""Only with a person's help, or not at all."""
+"""Scripts that need an operator, or whose part is not accepted."""
 SCRIPTS = (CALM, *RECOVERED, *BY_A_PERSON)
 LIVED = tuple(one for script in RECOVERED if not script.restarts for one in (CALM, script))
-"""Through which a daemon lives, in turn."""
+"""Scripts that the daemon survives, used in turn by ``--life``."""

@@ -1,4 +1,4 @@
-"""A sitting: one simulated cell and one daemon that stays up for many parts, each with what befalls it."""
+"""Run a sitting: one simulated cell and one daemon for many parts, each with its script."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from tests.campaigns.soak.parts import Part
 
 LOOK_S = 0.1
 MIRRORED = 1 / 3
-"""Of the sittings in which the artefact is measured by a mirrored instrument first."""
+"""Share of sittings in which a mirrored instrument measures the artefact first."""
 GROUP = 3
-"""Parts that nothing befalls are added so many at once."""
+"""Number of parts without a fault that are added at once."""
 PART_S = 300.0
-"""A part that takes longer is stuck."""
+"""Time limit of a part."""
 PATIENCE = 4
-"""So often a person comes to one part over what nobody expects; then it is taken out, and at twice that all is left."""
+"""Unexpected visits after which the operator removes a part; the sitting ends after twice as many."""
 STRIKES_S = 0.4
-"""After the tool was seen to have landed, at most; a pass takes four times as long."""
+"""Longest time from landing to the fault; a pass takes four times as long."""
 
 
 class Stuck(Exception):
-    """The sitting cannot go on."""
+    """The sitting cannot continue."""
 
 
 class Sitting:
-    """Works parts, one group after the other, and sees to what comes: as bad luck, as a person, as systemd."""
+    """Polish parts in groups, and act as failures, as the operator and as systemd do."""
 
     def __init__(self, cell: SoakCell, name: str, seed: int, keep: Keep) -> None:
         self._cell, self._seed, self._path = cell, seed, str(cell.files.cell)
         self._ledger = Ledger(cell, name, keep)
 
     def run(self, parts: Sequence[Part], until_s: Callable[[], float]) -> None:
-        """All of them, or until that time; what was begun is ended."""
+        """Polish all parts, or begin none after that time; complete those under way."""
         self._start()
         try:
             for group in grouped(parts):
@@ -80,7 +80,7 @@ class Sitting:
             raise Stuck(f"polishd queue add: {said.stderr}")
 
     def _follow(self, under: Under, landed: int) -> None:
-        """Until its job has ended, seeing to what comes. ``landed``: how often the tool had landed before."""
+        """Attend to the cell until the part's job has ended. ``landed``: number of landings before."""
         part, record = under.part, under.record
         record.struck = part.script.when in {"", "between jobs"}
         record.restarts = int(part.script.when == "between jobs")
@@ -100,7 +100,7 @@ class Sitting:
         self._ledger.end(under, row)
 
     def _is_time(self, part: Part, status: Mapping[str, Any], landed: int) -> bool:
-        """For what befalls it."""
+        """Return whether the moment of the script's fault has come."""
         if part.script.when == "solving":
             return status.get("job") == part.name and status.get("phase") == "solve"
         if self._landings() == landed:
@@ -112,12 +112,14 @@ class Sitting:
         return sum(event["event"] == "tool_landed" for event in self._cell.log.look())
 
     def _lifted(self, before_s: float) -> bool:
-        """The pass was over by then."""
-        told = [e for e in self._cell.log.look() if e["event"] in {"tool_landed", "retract"} and e["mono_s"] < before_s]
-        return bool(told) and told[-1]["event"] == "retract"
+        """Return whether the tool had been lifted by then."""
+        moves = [
+            e for e in self._cell.log.look() if e["event"] in {"tool_landed", "retract"} and e["mono_s"] < before_s
+        ]
+        return bool(moves) and moves[-1]["event"] == "retract"
 
     def _between(self) -> None:
-        """Nothing waits any more: a person sees to what stopped the queue."""
+        """Attend to the cell until the queue is empty and idle."""
         last, end_s = self._ledger.open[-1], time.monotonic() + PART_S
         while True:
             state = None if self._cell.ended else self._cell.state().get("state")
@@ -131,14 +133,14 @@ class Sitting:
                 raise Stuck(f"the queue does not come to rest: {self._cell.state()}")
             self._pause()
 
-    # who sees to it
+    # operator and service manager
 
     def _visit(self, under: Under) -> None:
-        """A person reads why it is held, mends that, and says that it may go on."""
-        told = self._cell.asked("status", self._path)
-        if told.get("state") != "held":
+        """Read the reason of the hold, correct the cause and resume, as an operator does."""
+        status = self._cell.asked("status", self._path)
+        if status.get("state") != "held":
             return
-        reason, record = str(told["reason"]), under.record
+        reason, record = str(status["reason"]), under.record
         expecting = (one for one in self._ledger.open if one.expected and re.search(one.expected[0].says, reason))
         if (owner := next(expecting, None)) is not None:
             owner.record.visits += 1
@@ -148,14 +150,14 @@ class Sitting:
             self._cell.quiet()
         if len(record.unexpected) > 2 * PATIENCE:
             raise Stuck(f"held again and again: {reason}")
-        aside = len(record.unexpected) > PATIENCE and told.get("job") == record.part
+        aside = len(record.unexpected) > PATIENCE and status.get("job") == record.part
         verb = ("queue", "remove", self._path, record.part) if aside else ("resume", self._path)
         done = self._cell.polishd(*verb)
         if done.returncode:
             record.unexpected.append(f"{verb[0]} is refused: {done.stderr.strip()}")
 
     def _start_again(self, under: Under) -> None:
-        """Whoever watches over the daemon starts it again."""
+        """Restart the daemon, as the service manager does."""
         record = under.record
         if not (record.struck and under.part.script.restarts > record.restarts):
             code = self._cell.process.returncode if self._cell.process else None
@@ -181,7 +183,7 @@ class Sitting:
 
 
 def grouped(parts: Sequence[Part]) -> Iterator[list[Part]]:
-    """Each alone that anything befalls; those in peace, several together."""
+    """Yield groups of parts: each part with a fault alone, several without a fault together."""
     group: list[Part] = []
     for part in parts:
         calm = not (part.script.sim or part.script.wires or part.script.when)
@@ -199,7 +201,7 @@ def grouped(parts: Sequence[Part]) -> Iterator[list[Part]]:
 def work(
     folder: Path, name: str, seed: int, speed: float, parts: Sequence[Part], until_s: Callable[[], float], keep: Keep
 ) -> list[str]:
-    """A sitting in that folder; what was wrong with it apart from its parts."""
+    """Run a sitting in that folder and return the failures that concern no part."""
     mirrored = random.Random(f"{seed} {parts[0].number}").random() < MIRRORED
     with running_cell(folder, seed + parts[0].number, speed) as cell:
         wrong = prove_instrument(cell, mirrored=mirrored)

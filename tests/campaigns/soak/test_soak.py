@@ -1,4 +1,4 @@
-"""Tokens of `make soak`: what it asks can be answered with no; a few parts of it (full), and (slow) some minutes."""
+"""`make soak` detects each failure that it looks for; a short soak (full), and some minutes of one (slow)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.campaigns.soak.usage import Meter, children, held
 # what is drawn
 
 
-def test_a_part_is_the_same_whoever_asks_and_no_two_in_a_row_need_a_person() -> None:
+def test_a_part_depends_on_its_number_only_and_no_two_in_a_row_need_a_person() -> None:
     parts = [drawn(1, number) for number in range(3000)]
     assert parts == [drawn(1, number) for number in range(3000)]
     assert parts != [drawn(2, number) for number in range(3000)]
@@ -79,12 +79,12 @@ def test_a_process_that_has_ended_keeps_what_it_used() -> None:
 
 
 def life(per_part: float, parts: int, noise: float, seed: int) -> list[tuple[float, float]]:
-    """What one daemon held, part by part; the first ones are of loading."""
+    """Return (part, MB) of one daemon's memory; modules are loaded during the first parts."""
     luck = random.Random(seed)
     return [(k, 100.0 + per_part * k - (50.0 if k < WARM else 0.0) + luck.gauss(0.0, noise)) for k in range(parts)]
 
 
-def test_a_leak_is_told_from_noise() -> None:
+def test_a_leak_is_distinguished_from_noise() -> None:
     bound = BOUNDS["daemon_rss_mb"]
     flat = slope([life(0.0, WARM + 25, 0.5, seed) for seed in range(5)])
     assert flat.flat(bound)
@@ -102,7 +102,7 @@ def test_a_leak_is_told_from_noise() -> None:
 
 
 class Shop:
-    """The files of one part that was polished in one pass of three blocks, and the plant's account of it."""
+    """Files of one part that was polished in one pass of three blocks, with the plant's record."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -116,7 +116,7 @@ class Shop:
         self.height_nm = -self.planned_nm * 0.9
 
     def judged(self) -> list[str]:
-        """What is wrong with it."""
+        """Return the failures found."""
         np.savez(self.folder / "cycle-00/plan.npz", predicted_removal_nm=self.planned_nm)
         (self.folder / "summary.json").write_text(json.dumps({"cycles": [{"how": "done"}, {"how": None}]}))
         with connect(self.folder / "journal.sqlite") as journal:
@@ -126,8 +126,8 @@ class Shop:
                 "INSERT INTO pass VALUES (1, 0, 'ab', '', 3, 0, 3, '', 0, 1, 'done', '', '', 1, NULL, NULL)"
             )
             rows = [(1, 0, seq, seq, seq + s, 1, 0) for seq, s in enumerate((0.5, 0.25, 0.25))]
-            told = "INSERT INTO segment (job, cycle, seq, start_s, end_s, touched, recovered) VALUES (?,?,?,?,?,?,?)"
-            journal.executemany(told, rows)
+            insert = "INSERT INTO segment (job, cycle, seq, start_s, end_s, touched, recovered) VALUES (?,?,?,?,?,?,?)"
+            journal.executemany(insert, rows)
         books = [{"sha256": "ab", "blocks": 3, "loads": self.loads, "contact_s": self.contact_s}]
         (self.folder / "dwell_account.json").write_text(json.dumps({"programs": books, "stands": self.stands}))
         flat, clear = np.zeros((13, 13)), np.ones((9, 9), dtype=bool)
@@ -171,12 +171,12 @@ def test_a_place_that_is_deeper_than_planned_is_damage(tmp_path: Path) -> None:
 
 
 def record(number: int, **values: Any) -> dict[str, Any]:
-    """Of a part that was accepted, as it should be."""
+    """Return the record of a part that was accepted correctly."""
     held_then = {"daemon_rss_mb": 100.0, "descriptors": 20.0, "written_mb": 0.1}
     cpu_s = {"daemon": 1.0, "simulators": 2.0, "commands": 30.0}
-    told = {"limit_nm": 2.0, "uncertainty_nm": 0.3, "rms_nm": 1.9}
+    measured = {"limit_nm": 2.0, "uncertainty_nm": 0.3, "rms_nm": 1.9}
     made = Record(number, f"P{number}", CALM.name, "s", "s/1", age=number, verdict=ACCEPTED, cpu_s=cpu_s,
-                  held=held_then, told=told, true_rms_nm=1.8)  # fmt: skip
+                  held=held_then, measured=measured, true_rms_nm=1.8)  # fmt: skip
     facts = asdict(made) | values
     return {**facts, "too_slow": Record(**facts).too_slow}
 
@@ -197,7 +197,7 @@ def record(number: int, **values: Any) -> dict[str, Any]:
         ({"cpu_s": {"daemon": 21.0}, "number": list(range(50))}, ["a part takes 21.0 CPU seconds"]),
     ],
 )  # fmt: skip
-def test_what_may_not_be_is_told(some: dict[str, Any], said: list[str]) -> None:
+def test_each_failure_is_reported(some: dict[str, Any], said: list[str]) -> None:
     numbers = some.pop("number", [7])
     sums = Sums([record(number, **(some if number in numbers else {})) for number in range(50)])
     found = sums.wrong()
@@ -242,7 +242,7 @@ def test_nothing_grows_over_the_long_life_on_the_page() -> None:
 
 
 def soak(folder: Path, *arguments: str) -> dict[str, Any]:
-    """Run it; its last line."""
+    """Run the campaign and return its last line."""
     command = [sys.executable, "-m", "tests.campaigns.soak", "--folder", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -253,7 +253,7 @@ def soak(folder: Path, *arguments: str) -> dict[str, Any]:
 @pytest.mark.system
 @pytest.mark.timeout(600)
 def test_a_few_parts_of_it_and_they_are_not_done_again(tmp_path: Path) -> None:
-    """One that nothing befalls, and one of each kind that a person is needed for; slowly, for a busy machine."""
+    """One part without a fault and one of each kind that needs an operator; slowly, for a busy machine."""
     some = ("--only", "nothing", "map flipped", "loader jams", "--speed", "20", "--parts")
     found = soak(tmp_path, *some, "2")
     assert (found["parts"], found["accepted"], found["visits"], found["damaged"]) == (2, 1, 1, 0)

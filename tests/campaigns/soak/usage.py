@@ -1,4 +1,4 @@
-"""What processes use, from /proc: CPU seconds of all that ever ran, and what those that run hold now."""
+"""Resources of processes from /proc: CPU seconds of all; memory, descriptors and threads of those that run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What one process holds."""
+    """Memory, file descriptors and threads of one process."""
 
     rss_mb: float
     descriptors: int
@@ -23,18 +23,18 @@ class Held:
 
 @dataclass(slots=True)
 class Meter:
-    """CPU seconds by group; a process that has ended keeps what it had used when it was looked at last."""
+    """CPU seconds by group; a process that has ended counts with its last reading."""
 
     _used_s: dict[tuple[str, int, str], float] = field(default_factory=dict)
-    """By group, process id and start time."""
+    """CPU seconds by group, process id and start time."""
     _more_s: Counter[str] = field(default_factory=Counter)
     _waited_s: dict[tuple[str, int], float] = field(default_factory=dict)
-    """For a processor, by process id, when it was looked at last."""
+    """Waiting time for a processor by process id, at the last reading."""
     late_s: float = 0.0
-    """Longest that any process was kept waiting between two looks, since somebody set this to 0; workers aside."""
+    """Longest wait of any process except workers between two readings, since the caller set this to 0."""
 
     def look(self, groups: Mapping[str, Iterable[int]]) -> None:
-        """At the processes of each group, as they are now."""
+        """Read the processes of each group."""
         for group, pids in groups.items():
             for pid in pids:
                 if (found := _stat(pid)) is None:
@@ -47,11 +47,11 @@ class Meter:
                     self.late_s = max(self.late_s, waited_s - before_s)
 
     def add(self, group: str, seconds: float) -> None:
-        """What somebody else has measured."""
+        """Add CPU seconds that were measured elsewhere."""
         self._more_s[group] += seconds
 
     def total_s(self) -> Counter[str]:
-        """By group, since the beginning."""
+        """Return the CPU seconds by group since the beginning."""
         total = self._more_s.copy()
         for (group, *_), seconds in self._used_s.items():
             total[group] += seconds
@@ -59,7 +59,7 @@ class Meter:
 
 
 def held(pid: int) -> Held | None:
-    """None where it does not run."""
+    """Return the resources of a process; None where it does not run."""
     found = _stat(pid)
     if found is None:
         return None
@@ -70,7 +70,7 @@ def held(pid: int) -> Held | None:
 
 
 def children(pid: int) -> list[int]:
-    """Those of all its threads."""
+    """Return the process ids of the children of all threads of a process."""
     found: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
@@ -81,7 +81,7 @@ def children(pid: int) -> list[int]:
 
 
 def _waited_s(pid: int) -> float:
-    """Seconds that its first thread, which serves the wires, could have run and did not get a processor."""
+    """Return the seconds for which the first thread, which serves the wires, was ready but had no processor."""
     try:
         return int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[1]) / 1e9
     except OSError:
@@ -89,7 +89,7 @@ def _waited_s(pid: int) -> float:
 
 
 def _stat(pid: int) -> list[str] | None:
-    """The fields of /proc/PID/stat from the third on: proc(5) numbers them from 1, this list from 3."""
+    """Return the fields of /proc/PID/stat from the third on: proc(5) numbers them from 1, this list from 3."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
