@@ -1,4 +1,4 @@
-"""An ABB controller on a socket of this process: the simulator's controller and services, without a plant."""
+"""Fake ABB controller on a socket of this process: the simulator's controller and services without a plant."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WATCH = files("polishd.config").joinpath("controller_programs/polishd_watch.mod"
 
 
 def rapid_move(number: int) -> bytes:
-    """Block n of a program: 1 mm in 30 ms, and now and then a wait."""
+    """Return block n of a program: 1 mm in 30 ms, and a wait in some blocks."""
     if number % 10 == 7:
         return b"WaitTime 0.02;"
     zone = b"fine" if number % 10 == 6 else b"z1"
@@ -34,7 +34,7 @@ def rapid_move(number: int) -> bytes:
 
 
 class FakeAbb:
-    """One controller. Time passes in a separate task, from ``start`` to ``close``."""
+    """Fake controller. A task advances its time from ``start`` to ``close``."""
 
     def __init__(self, folder: Path, version: Version = "1.0", *, speed: float = 1.0, has_watch: bool = True) -> None:
         limits = Limits(1000.0, 0.001, 30.0, 100.0, 100.0, speed)
@@ -44,7 +44,7 @@ class FakeAbb:
         self.service = RwsService(self.controller, version, folder, "boot")
         self.version: Version = version
         self.filter: Filter = unchanged
-        """What becomes of the bytes on their way out."""
+        """Filter for the bytes that the controller sends."""
         self.silent = False
         self._login = LoginCheck(version)
         self._tls = device.tls_context(folder) if version == "2.0" else None
@@ -60,7 +60,7 @@ class FakeAbb:
 
     @property
     def account(self) -> Account:
-        """Where it listens, and who may log in."""
+        """Address and login of the controller."""
         assert self._server is not None
         port = self._server.sockets[0].getsockname()[1]
         tls = tls_context("", Path()) if self.version == "2.0" else None
@@ -68,17 +68,17 @@ class FakeAbb:
 
     @property
     def stands(self) -> bool:
-        """Nothing moves, and no program that would."""
+        """Return whether nothing moves and no program would move."""
         return not self.controller.is_active
 
     async def start(self) -> FakeAbb:
-        """Listen, and let time pass."""
+        """Listen on loopback and start the clock."""
         self._server = await asyncio.start_server(self._connected, LOOPBACK, 0)
         self._go(self._pass_time())
         return self
 
     async def close(self) -> None:
-        """Clean up."""
+        """Close all connections and stop the clock."""
         self.cut()
         for task in list(self._tasks):
             task.cancel()
@@ -92,7 +92,7 @@ class FakeAbb:
             writer.transport.abort()
 
     def advance(self) -> None:
-        """Run up to the present."""
+        """Advance the controller to the present."""
         self.controller.tick(time.monotonic())
         self.service.publish()
 

@@ -1,4 +1,4 @@
-"""A voice-coil actuator as the protocol documents describe it, on Modbus RTU, Modbus TCP and ASCII."""
+"""Fake voice-coil actuator according to the protocol documents, on Modbus RTU, Modbus TCP and ASCII."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ VENDOR, MODEL, SERIAL, FIRMWARE = "Fake Coils", "FC-50", "SN-0042", "1.2"
 
 
 class Coil:
-    """The actuator itself: moves, watches its heartbeat, refuses."""
+    """Actuator that moves, monitors its heartbeat and refuses commands."""
 
     def __init__(self) -> None:
         self.command = 0
@@ -31,7 +31,7 @@ class Coil:
         self._fed = time.monotonic()
 
     def engage(self) -> bool:
-        """False where a fault forbids it."""
+        """Engage; return False where a fault forbids it."""
         self.update()
         self.commands.append(1)
         if self.fault:
@@ -72,7 +72,7 @@ class Coil:
 
 
 class ModbusCoil(Peer):
-    """The coil's registers. ``rtu`` chooses the framing."""
+    """Registers of the actuator. ``rtu`` selects the framing."""
 
     def __init__(self, coil: Coil, *, rtu: bool, unit: int = 1) -> None:
         super().__init__()
@@ -147,7 +147,7 @@ class ModbusCoil(Peer):
 
 
 class AsciiCoil(NumberedPeer):
-    """The coil on ASCII lines."""
+    """Actuator on ASCII lines."""
 
     def __init__(self, coil: Coil) -> None:
         super().__init__()
@@ -179,7 +179,7 @@ class AsciiCoil(NumberedPeer):
 
 
 def crc16(data: bytes) -> int:
-    """Modbus CRC; 0 over a whole frame."""
+    """Return the Modbus CRC, which is 0 over a whole frame."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte

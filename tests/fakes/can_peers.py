@@ -1,4 +1,4 @@
-"""A drive on CAN behind slcan, and behind socketcand."""
+"""Fake CAN adapters with a drive on their bus: slcan and socketcand."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from tests.fakes.wires import Peer
 
 
 class Drive(Protocol):
-    """What is on the bus."""
+    """Node on the bus."""
 
     send: Callable[[int, bytes], None]
 
     def on_frame(self, identifier: int, data: bytes) -> None:
-        """From the bus."""
+        """Receive a frame from the bus."""
 
 
 class BeatingNode:
-    """A node of any kind: it sends its heartbeat, and answers nothing."""
+    """Node that sends its heartbeat and answers nothing."""
 
     def __init__(self, node: int = 5) -> None:
         self.send: Callable[[int, bytes], None] = lambda identifier, data: None
@@ -29,11 +29,11 @@ class BeatingNode:
         self._timer = asyncio.get_running_loop().call_later(0.1, self._tick)
 
     def stop(self) -> None:
-        """Switch it off."""
+        """Switch the node off."""
         self._timer.cancel()
 
     def on_frame(self, identifier: int, data: bytes) -> None:
-        """From the bus."""
+        """Receive a frame from the bus."""
 
     def _tick(self) -> None:
         self.send(0x700 + self._node, b"\x05")
@@ -41,7 +41,7 @@ class BeatingNode:
 
 
 class SlcanPeer(Peer):
-    """The drive behind a serial adapter."""
+    """Drive behind a serial adapter (slcan)."""
 
     def __init__(self, drive: Drive) -> None:
         super().__init__()
@@ -61,7 +61,7 @@ class SlcanPeer(Peer):
 
 
 class SocketcandPeer(Peer):
-    """The drive behind a socketcand server."""
+    """Drive behind a socketcand server."""
 
     def __init__(self, drive: Drive) -> None:
         super().__init__()

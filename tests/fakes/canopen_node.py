@@ -1,4 +1,4 @@
-"""A drive that is canopen's own LocalNode, as a process: ``python -m tests.fakes.canopen_node PORT EDS``.
+"""Drive made of canopen's LocalNode, as a process: ``python -m tests.fakes.canopen_node PORT EDS``.
 
 Objects, NMT, heartbeat and emergencies are the library's. Of CiA 402 there is only what its objects need to make sense.
 """
@@ -13,12 +13,12 @@ import canopen
 
 NODE = 5
 LATCH_UP_UNITS = 7770
-"""A target velocity at which it tells of an emergency."""
+"""Target velocity at which the drive sends an emergency message."""
 STATUS = {0x06: 0x231, 0x07: 0x233, 0x0F: 0x237}
 
 
 class LocalDrive:
-    """Answers reads of what its EDS file has no value for, and follows control words at once."""
+    """Drive that answers reads of objects without a value in its EDS file and follows control words at once."""
 
     def __init__(self, network: canopen.Network, eds: str) -> None:
         self.node = network.create_node(NODE, eds)
@@ -47,7 +47,7 @@ class LocalDrive:
 
 
 def main() -> None:
-    """Until standard input ends."""
+    """Run the drive until standard input ends."""
     port, eds = sys.argv[1:]
     network = canopen.Network()
     network.connect(interface="socketcand", host="127.0.0.1", port=int(port), channel="can0")

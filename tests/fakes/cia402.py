@@ -1,4 +1,4 @@
-"""The simulated drive of CiA 402 in the test's loop, behind the fakes' adapters, its frames to meddle with."""
+"""Run the simulated CiA 402 drive in the test's loop behind a fake adapter; tests can change its frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Frame = tuple[int, bytes]
 
 
 class FakeCoil:
-    """A voice coil that presses at once with what it is told; a spring of 2 N lifts it."""
+    """Voice coil that presses with the commanded force at once; a spring of 2 N lifts it."""
 
     def __init__(self) -> None:
         self.position_mm = 0.0
@@ -42,7 +42,7 @@ class FakeCoil:
 
     @property
     def force_n(self) -> float:
-        """On the part."""
+        """Force on the part."""
         return max(self.net_n, 0.0) if self.position_mm >= self.touch_mm else 0.0
 
     def step(self, now_s: float, objects: Objects, power: Power) -> None:
@@ -63,29 +63,29 @@ class FakeCoil:
 
 
 class SimDrive:
-    """A node that ticks by itself. ``treat`` says what becomes of each frame that it sends."""
+    """Node with its own clock. ``treat`` returns the frames to send instead of each frame."""
 
     def __init__(self, axis: SimAxis) -> None:
         self.send: Callable[[int, bytes], None] = lambda identifier, data: None
         self.treat: Callable[[Frame], Iterable[Frame]] = lambda frame: [frame]
         self.instead: dict[bytes, bytes] = {}
-        """Answers to SDO requests that begin so, in place of the drive's own."""
+        """Answers to SDO requests with these first bytes, instead of those of the drive."""
         self.beats = 0
-        """Of the controller."""
-        self.heard: list[Frame] = []
+        """Number of heartbeats of the controller."""
+        self.received: list[Frame] = []
         self.events: list[str] = []
         self.node = Node(NODE, axis, lambda name, at_s, **_: self.events.append(name), time.monotonic())
         self._timer = asyncio.get_running_loop().call_later(TICK_S, self._tick)
 
     def stop(self) -> None:
-        """Switch it off."""
+        """Switch the node off."""
         self._timer.cancel()
 
     def on_frame(self, identifier: int, data: bytes) -> None:
-        """From the bus."""
+        """Receive a frame from the bus."""
         self.beats += identifier == 0x700 + CONTROLLER
         if identifier != 0x700 + CONTROLLER:
-            self.heard.append((identifier, data))
+            self.received.append((identifier, data))
         for begin, answer in self.instead.items():
             if identifier == 0x600 + NODE and data.startswith(begin):
                 return self._say([(0x580 + NODE, answer)])
@@ -94,9 +94,9 @@ class SimDrive:
         return None
 
     def written(self, index: int) -> list[int]:
-        """What was written to an object so far."""
+        """Return the values that were written to an object so far."""
         key = index.to_bytes(2, "little")
-        writes = [data for ident, data in self.heard if ident == 0x600 + NODE and data[0] >> 5 == 1]
+        writes = [data for ident, data in self.received if ident == 0x600 + NODE and data[0] >> 5 == 1]
         return [int.from_bytes(data[4:], "little") for data in writes if data[1:3] == key]
 
     def _tick(self) -> None:
@@ -110,24 +110,24 @@ class SimDrive:
 
 
 def sim_motor() -> tuple[SimDrive, Motor]:
-    """A spindle's drive."""
+    """Return the drive of a spindle."""
     motor = Motor(np.random.default_rng(4), lambda *_, **__: None, time.monotonic())
     return SimDrive(motor), motor
 
 
 def sim_coil() -> tuple[SimDrive, FakeCoil]:
-    """A voice coil's drive."""
+    """Return the drive of a voice coil."""
     coil = FakeCoil()
     return SimDrive(coil), coil
 
 
 def place(bus: SlcanAddress | SocketcandAddress, silence_s: float, watchdog_s: float) -> CanNodeAddress:
-    """Where that drive is."""
+    """Return the address of that drive."""
     return CanNodeAddress(bus, NODE, CONTROLLER, silence_s, watchdog_s)
 
 
 def cia402_spindle(bus: SlcanAddress | SocketcandAddress, times: SpindleTimes, eds: Path = EDS) -> Cia402Spindle:
-    """Its driver."""
+    """Return the driver of that drive."""
     scale = SpindleScale(
         0.1, max_rpm=6500.0, acceleration_rpm_s=20_000.0, deceleration_rpm_s=20_000.0, quick_stop_rpm_s=20_000.0
     )
@@ -135,6 +135,6 @@ def cia402_spindle(bus: SlcanAddress | SocketcandAddress, times: SpindleTimes, e
 
 
 def cia402_actuator(bus: SlcanAddress | SocketcandAddress, times: ActuatorTimes, **scale: object) -> Cia402Actuator:
-    """Its driver."""
+    """Return the driver of that drive."""
     scaled = ActuatorScale(N_PER_PERMILLE, 0.001, balance_n=BALANCE_N, travel_mm_s=5.0, **scale)
     return Cia402Actuator(place(bus, times.silence_s, times.watchdog_s), read_dictionary(EDS, NODE), scaled, times)

@@ -1,4 +1,4 @@
-"""A cell in memory: test doubles of the ports that write what is asked of them into one list, in time order.
+"""Cell in memory: test doubles of the ports that record their calls in one list, in time order.
 
 Nothing waits for wall time. The robot executes a block when its reader asks for the next one, and the clock goes on by
 the block's time then; readings of actuator and spindle let a little of the same time pass.
@@ -36,11 +36,11 @@ from polishd.model.program import Plan, Segment
 from polishd.model.surface import SurfaceMap
 
 SAMPLE_S = 0.005
-"""What one reading lets pass, of the fake clock."""
+"""Time by which each reading advances the fake clock."""
 
 
 class ManualClock:
-    """Time that passes only when somebody says so."""
+    """Clock that only the test advances."""
 
     def __init__(self) -> None:
         self.at_s = 0.0
@@ -55,7 +55,7 @@ class ManualClock:
         await waiting
 
     async def until(self, at_s: float) -> None:
-        """Whoever waits for a motion lets the time pass; the watchers get their turns meanwhile."""
+        """Advance the time while a caller waits for a motion; monitoring tasks run meanwhile."""
         while self.at_s < at_s:
             self.advance(SAMPLE_S)
             await asyncio.sleep(0)
@@ -70,7 +70,7 @@ class ManualClock:
 
 @dataclass
 class Behaviour:
-    """How a device misbehaves, by the name of what it is asked: it raises, never answers, or does something first."""
+    """Misbehavior of a device by the name of the call: it raises, never answers, or does something first."""
 
     fails: dict[str, BaseException] = field(default_factory=dict)
     hangs: set[str] = field(default_factory=set)
@@ -78,7 +78,7 @@ class Behaviour:
 
 
 class FakeDevice:
-    """What all devices can do; every call is an event ``"<name>.<call>"``."""
+    """Common part of all devices; every call is an event ``"<name>.<call>"``."""
 
     def __init__(self, name: str, events: list[str], clock: ManualClock) -> None:
         self.name = name
@@ -118,7 +118,7 @@ class FakeDevice:
 
 
 class FakeRobot(FakeDevice):
-    """Executes each block in ``block_s``, when its reader asks for it."""
+    """Robot that executes each block in ``block_s`` when its reader requests it."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("robot", events, clock)
@@ -131,17 +131,17 @@ class FakeRobot(FakeDevice):
         self.done = 0
         self.until: int | None = 0
         self.ends_at: int | None = None
-        """The program is dropped there, as by the robot itself."""
+        """Block at which the robot drops the program."""
         self.takes: int | None = None
-        """Blocks after which it accepts no more."""
+        """Number of blocks after which the robot accepts no more."""
         self.stands = False
-        """It does not move, whatever it is told."""
+        """Whether the robot ignores commands to move."""
         self.lies = False
-        """It says that it runs, also where it stands."""
+        """Whether the robot reports that it runs although it stands still."""
         self.override: float | None = None
         self.most_buffered_s = 0.0
         self.before_block: Callable[[], Awaitable[None]] = partial(asyncio.sleep, 0)
-        """Whoever feeds may feed meanwhile."""
+        """Called before each block; a feeding task can run meanwhile."""
         self._changed = asyncio.Event()
 
     async def prepare(self, plan: Plan) -> None:
@@ -163,8 +163,16 @@ class FakeRobot(FakeDevice):
             await asyncio.Event().wait()
         ended = "done" if self.done == self.ends_at else "running"
         state: RobotState = "held" if self._is_held() and not (self.stands and self.lies) else ended
-        told = (self.plan_sha256, len(self.loaded), self.done, self.buffer_s, self.boot_id, "fake", self.override)
-        return RobotProgress(state, *told)
+        state_values = (
+            self.plan_sha256,
+            len(self.loaded),
+            self.done,
+            self.buffer_s,
+            self.boot_id,
+            "fake",
+            self.override,
+        )
+        return RobotProgress(state, *state_values)
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         for seq in range(from_seq, self.done):
@@ -213,7 +221,7 @@ class FakeRobot(FakeDevice):
 
 
 class FakeActuator(FakeDevice):
-    """Lands and lifts in the fake clock's time, as hardware does; ``reads`` may say otherwise."""
+    """Actuator that lands and lifts in the fake clock's time; ``reads`` can replace its readings."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("actuator", events, clock)
@@ -226,7 +234,7 @@ class FakeActuator(FakeDevice):
         self.silent = False
         self.ends = False
         self.touch_mm: Callable[[], float | None] = lambda: 5.0
-        """Position at which it meets the part; None: nothing is there."""
+        """Position at which the tool touches the part; None without a part."""
         self.position_mm = 0.0
 
     async def set_force(self, force_n: float) -> None:
@@ -267,7 +275,7 @@ class FakeActuator(FakeDevice):
 
 
 class FakeForceSensor(FakeDevice):
-    """Reads what the actuator truly presses with; ``reads`` may say otherwise."""
+    """Sensor of the actuator's true force; ``reads`` can replace its readings."""
 
     def __init__(self, events: list[str], clock: ManualClock, actuator: FakeActuator) -> None:
         super().__init__("force_sensor", events, clock)
@@ -289,7 +297,7 @@ class FakeForceSensor(FakeDevice):
 
 
 class FakeMonitor(FakeDevice):
-    """Tells ``values``, as they are then; its clock goes on by a reading."""
+    """Monitor that returns the present ``values``; each reading advances its clock."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("monitor", events, clock)
@@ -310,7 +318,7 @@ class FakeMonitor(FakeDevice):
 
 
 class FakeSpindle(FakeDevice):
-    """Has its speed at once; ``reads`` may say otherwise."""
+    """Spindle that has its speed at once; ``reads`` can replace its readings."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("spindle", events, clock)
@@ -337,7 +345,7 @@ class FakeSpindle(FakeDevice):
 
 
 class FakeMetrology(FakeDevice):
-    """Gives its maps one after another, or what ``measure`` makes of the part at that moment."""
+    """Metrology that returns its maps one after another, or the result of ``measure`` at that moment."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("metrology", events, clock)
@@ -345,7 +353,7 @@ class FakeMetrology(FakeDevice):
         self.measure: Callable[[], SurfaceMap] | None = None
         self.afters: list[str | None] = []
         self.refuses: list[MapRefusal] = []
-        """Before it gives the next map."""
+        """Refusals before the next map."""
         self._listener: Callable[[MapRefusal], None] | None = None
 
     def on_refusal(self, listener: Callable[[MapRefusal], None] | None) -> None:
@@ -364,7 +372,7 @@ class FakeMetrology(FakeDevice):
 
 
 class FakePartLoader(FakeDevice):
-    """Changes parts at once; ``brings`` another one than it is asked for."""
+    """Loader that changes parts at once; ``brings`` is a wrong part."""
 
     def __init__(self, events: list[str], clock: ManualClock) -> None:
         super().__init__("loader", events, clock)
@@ -386,7 +394,7 @@ class FakePartLoader(FakeDevice):
 
 @dataclass
 class FakeCell:
-    """The devices of a cell, with what they share."""
+    """Devices of a cell with their shared clock and events."""
 
     events: list[str] = field(default_factory=list)
     clock: ManualClock = field(default_factory=ManualClock)
@@ -402,14 +410,14 @@ class FakeCell:
         self.cell = Cell(self.devices, {name: name for name in self.devices}, self.clock, opened=set(self.devices))
 
     def with_loader(self) -> FakePartLoader:
-        """Parts are changed by this one."""
+        """Add a part loader and return it."""
         self.cell.devices = {**self.devices, "loader": self.loader}
         self.cell.opened.add("loader")
         self.cell.used = {**self.cell.used, "loader": "loader"}
         return self.loader
 
     def with_force_sensor(self) -> FakeForceSensor:
-        """An independent one."""
+        """Add an independent force sensor and return it."""
         self.cell.devices = {**self.cell.devices, "force_sensor": self.force_sensor}
         self.cell.opened.add("force_sensor")
         self.cell.used = {**self.cell.used, "force_sensor": "force_sensor"}
@@ -418,7 +426,7 @@ class FakeCell:
     def with_monitor(
         self, *limits: SignalLimits, silence_s: float = 3600.0, **values: float | bool | None
     ) -> FakeMonitor:
-        """One that tells those values, and what is watched of them."""
+        """Add a monitor with those values and their limits, and return it."""
         self.monitor.values = dict(values)
         self.cell.devices = {**self.cell.devices, "monitor": self.monitor}
         self.cell.opened.add("monitor")
@@ -430,10 +438,10 @@ class FakeCell:
         return {device.name: device for device in (self.actuator, self.robot, self.spindle, self.metrology)}
 
     def of(self, *calls: str) -> list[str]:
-        """Only these calls (``"robot.hold"``, or ``"make_safe"`` for every device's), in time order."""
+        """Return these calls (``"robot.hold"``, or ``"make_safe"`` for every device's) in time order."""
         return [event for event in self.events if event.split()[0] in calls or event.split(".")[-1] in calls]
 
 
 def blank(sample: ForceSample) -> ForceSample:
-    """A reading of a tool that touches nothing."""
+    """Return the reading of a tool that touches nothing."""
     return replace(sample, force_n=0.0, in_contact=False)

@@ -1,4 +1,4 @@
-"""Drivers of shipped profiles, ready to be opened."""
+"""Create drivers of shipped profiles."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def shipped(name: str) -> DeviceProfile:
-    """The profile of that name, or of a file among the examples."""
+    """Return the profile of that name, or of a file among the examples."""
     return profile_of(name, EXAMPLES)
 
 
 def file_of(name: str) -> Path:
-    """Where it stands."""
+    """Return the path of a shipped profile or example."""
     return EXAMPLES / name if name.endswith(".toml") else DEVICE_PROFILE_DIR / f"{name}.toml"
 
 
 def voice_coil_modbus(
     address: Tcp | SerialLine, times: ActuatorTimes | None = None, *, unit: int = 1
 ) -> ProfiledActuator:
-    """Polishd's actuator at a Modbus address."""
+    """Return the driver of the shipped actuator profile at a Modbus address."""
     return build.actuator(shipped("voice_coil_modbus"), address, times, unit=unit)
 
 
 def voice_coil_serial(address: SerialLine | Tcp, times: ActuatorTimes | None = None) -> ProfiledActuator:
-    """Polishd's actuator on lines of text."""
+    """Return the driver of the shipped actuator profile on text lines."""
     return build.actuator(shipped("voice_coil_serial"), address, times)

@@ -1,4 +1,4 @@
-"""A FANUC controller with RMI in the loop of the test: the simulated one, without a plant, on two ports."""
+"""Fake FANUC controller with RMI in the loop of the test: the simulated one without a plant, on two ports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HOME = (0.0, 0.0, 50.0, 0.0, 0.0)
 
 
 def controller(report: Callable[..., None] = lambda *_a, **_k: None, **limits: Any) -> FanucController:
-    """One at rest, with everything in reach."""
+    """Return a controller at rest with all positions in reach."""
     kept = {"accel_mm_s2": 1000.0, "overhead_s": 0.0, "corner_deg": 30.0, "rapid_mm_s": 100.0, "max_feed_mm_s": 100.0}
     motion = SimMotion(Limits(**{**kept, **limits}, speed=1.0), HOME)
     reach = lambda blocks: np.ones(len(blocks), dtype=np.bool_)  # noqa: E731
@@ -29,7 +29,7 @@ def controller(report: Callable[..., None] = lambda *_a, **_k: None, **limits: A
 
 
 class FakeFanuc:
-    """Its servers and its clock."""
+    """Controller with its servers and its clock."""
 
     def __init__(self) -> None:
         self.controller = controller()
@@ -37,9 +37,9 @@ class FakeFanuc:
         self.filter: Filter = unchanged
         self.port = 0
         self.lines: list[bytes] = []
-        """All lines of the session."""
+        """All lines of the session that the controller received."""
         self.most_held = 0
-        """Most instructions that were outstanding."""
+        """Highest number of outstanding instructions."""
         self._servers: list[asyncio.Server] = []
         self._writers = set[asyncio.StreamWriter]()
         self._is_cut = False
@@ -54,14 +54,14 @@ class FakeFanuc:
         return self
 
     async def close(self) -> None:
-        """End it."""
+        """Close the servers and stop the clock."""
         self.cut()
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait({self._task})
 
     def cut(self) -> None:
-        """Cut all links for good."""
+        """Cut all links permanently."""
         self._is_cut = True
         for server in self._servers:
             server.close()
@@ -70,12 +70,12 @@ class FakeFanuc:
 
     @property
     def stands(self) -> bool:
-        """Nothing moves or waits."""
+        """Return whether no instruction moves or waits."""
         return self.controller.motion.state != "running"
 
     @property
     def held(self) -> int:
-        """Outstanding instructions."""
+        """Return the number of outstanding instructions."""
         return len(self.controller._held)
 
     def drop_session(self) -> None:

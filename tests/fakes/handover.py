@@ -1,4 +1,4 @@
-"""The simulated PLC in the loop of the test, without a plant: behind OPC UA on a socket, or at a wire of no length."""
+"""Run the simulated PLC without a plant in the loop of the test: behind OPC UA, ADS or HSES, or called directly."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from polishd.sim_backends.robot.motion import SimMotion
 from polishd.sim_backends.robot.trajectory import Limits
 
 HOST = f"127.{40 + os.getpid() % 80}.{os.getpid() // 80 % 250}.1"
-"""ADS has one port only: each process of the tests has an address of its own."""
+"""Address of this test process: ADS has a fixed port, so that each process needs another address."""
 NETID = f"{HOST}.1.1"
 CYCLE_S = 0.002
 SPEED = 100.0
-"""Its seconds in one of ours: 100 mm of the suites' programs last a second."""
+"""Speed of the PLC's clock: 100 mm of the suites' programs last a second."""
 PROFILE = load_controller_profile("plc-opcua", Path())
 
 
 class FakePlc:
-    """A PLC that cycles, and whose wire can be cut or muted."""
+    """PLC with a cycle, whose wire can be cut or muted."""
 
     def __init__(self, folder: Path, *, speed: float = SPEED, **robot: float) -> None:
         self.folder = folder
@@ -53,15 +53,15 @@ class FakePlc:
 
     @property
     def stands(self) -> bool:
-        """Its motion, whatever it tells."""
+        """Return whether the robot stands still, whatever the PLC reports."""
         return self.plc.motion.state != "running"
 
     def cut(self) -> None:
-        """Pull the plug for good."""
+        """Cut the wire permanently."""
         self.dead = True
 
     async def cycle(self) -> None:
-        """For ever."""
+        """Run the cycle until cancelled."""
         while True:
             self.plc.tick(time.monotonic())
             await asyncio.sleep(CYCLE_S)
@@ -71,7 +71,7 @@ class FakePlc:
 
 
 class Direct:
-    """A Variables at the PLC itself."""
+    """Variables port that accesses the PLC directly."""
 
     def __init__(self, fake: FakePlc, profile: ControllerProfile = PROFILE) -> None:
         self._fake = fake
@@ -115,7 +115,7 @@ class Direct:
 
 
 class Relay:
-    """TCP to the OPC UA server, which can be cut for good, and muted."""
+    """TCP relay to the OPC UA server that can be cut permanently and muted."""
 
     def __init__(self, fake: FakePlc, target: int) -> None:
         self._fake, self._target = fake, target
@@ -159,7 +159,7 @@ class Relay:
 
 
 class ServedPeer(asyncio.Protocol):
-    """A connection to the server, which can be muted."""
+    """Connection to the server that can be muted."""
 
     def __init__(self, fake: FakePlc, server: Callable[[Plc], Any], open_: list[asyncio.Transport]) -> None:
         self._fake, self._server, self._open = fake, server, open_
@@ -184,7 +184,7 @@ class ServedPeer(asyncio.Protocol):
 async def serving(
     fake: FakePlc, what: Callable[[Plc], Any], host: str = "127.0.0.1", port: int = 0
 ) -> AsyncIterator[tuple[int, list[asyncio.Transport]]]:
-    """The server for the time of the block: its port, and its connections."""
+    """Run the server for the duration of the block; its port and its connections."""
     connections: list[asyncio.Transport] = []
     loop = asyncio.get_running_loop()
     server = await loop.create_server(lambda: ServedPeer(fake, what, connections), host, port, family=socket.AF_INET)
@@ -197,16 +197,16 @@ async def serving(
 
 
 class ServedDatagrams(asyncio.DatagramProtocol):
-    """The controller's UDP port, whose answers a test can lose, repeat or change."""
+    """UDP port of the controller, whose answers a test can drop, repeat or change."""
 
     def __init__(self, server: HsesServer) -> None:
         self.server = server
         self.asked: list[bytes] = []
-        """Datagrams that came."""
+        """Datagrams that were received."""
         self.out: Callable[[bytes], list[bytes]] = lambda answer: [answer]
-        """Datagrams that go in the place of an answer."""
+        """Return the datagrams to send instead of an answer."""
         self.into: Callable[[bytes], list[bytes]] = lambda request: [request]
-        """Datagrams that arrive in the place of a request."""
+        """Return the datagrams to process instead of a request."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.DatagramTransport", transport)  # asyncio's own is no subclass
@@ -220,7 +220,7 @@ class ServedDatagrams(asyncio.DatagramProtocol):
 
 @asynccontextmanager
 async def datagrams(fake: FakePlc) -> AsyncIterator[tuple[int, ServedDatagrams]]:
-    """HSES for the time of the block: its port, and what serves it."""
+    """Run HSES for the duration of the block; its port and server."""
     loop = asyncio.get_running_loop()
     fake.plc.goes_on = False
     transport, served = await loop.create_datagram_endpoint(
@@ -234,7 +234,7 @@ async def datagrams(fake: FakePlc) -> AsyncIterator[tuple[int, ServedDatagrams]]
 
 @asynccontextmanager
 async def cycling(fake: FakePlc) -> AsyncIterator[FakePlc]:
-    """The PLC, for the time of the block."""
+    """Run the PLC for the duration of the block."""
     task = asyncio.create_task(fake.cycle())
     try:
         yield fake
@@ -245,7 +245,7 @@ async def cycling(fake: FakePlc) -> AsyncIterator[FakePlc]:
 
 @asynccontextmanager
 async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[PlcRobot]:
-    """A closed driver at its PLC."""
+    """Run the PLC; the driver accesses it directly and is closed."""
     async with cycling(fake):
         device = PlcRobot("test PLC", profile, lambda: Direct(fake, profile), Folder(fake.folder))
         try:
@@ -256,7 +256,7 @@ async def direct(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIt
 
 @asynccontextmanager
 async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> AsyncIterator[tuple[PlcRobot, Relay]]:
-    """A closed driver, with a socket and a server between."""
+    """Run the PLC behind an OPC UA server; the driver is closed."""
     from polishd.sim_backends.plc_robot.device import served
 
     async with cycling(fake), served(fake.plc) as port:
@@ -275,7 +275,7 @@ async def over_opcua(fake: FakePlc, profile: ControllerProfile = PROFILE) -> Asy
 
 @asynccontextmanager
 async def over_ads(fake: FakePlc) -> AsyncIterator[tuple[PlcRobot, Callable[[], None]]]:
-    """A closed driver with ADS between, and what cuts it off for good."""
+    """Run the PLC behind ADS; the driver, which is closed, and a function that cuts the wire permanently."""
     profile = load_controller_profile("plc-ads", Path())
 
     async with cycling(fake), serving(fake, AdsServer, HOST, TCP_PORT) as (_, connections):

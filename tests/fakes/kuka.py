@@ -1,4 +1,4 @@
-"""A KUKA controller on one socket of this process: the simulator's machine, without a plant."""
+"""Fake KUKA controller on one socket of this process: the simulator's machine without a plant."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TIMES = RobotTimes(silence_s=1.0, lifts=False)
 
 
 class FakeKuka:
-    """One machine. Time passes by a task of its own, from ``start`` to ``close``."""
+    """Fake controller. A task advances its time from ``start`` to ``close``."""
 
     def __init__(self, folder: Path, *, has_c3: bool = True, speed: float = 1.0) -> None:
         path = kuka_path((0.0, 0.0, 60.0, 0.0, 0.0), 0.002)
@@ -36,7 +36,7 @@ class FakeKuka:
         self.folder = folder
         self.has_c3 = has_c3
         self.filter: Filter = unchanged
-        """What becomes of the bytes on their way out."""
+        """Filter for the bytes that the controller sends."""
         self.silent = False
         self.port = 0
         self.clients: list[_Client] = []
@@ -45,18 +45,18 @@ class FakeKuka:
 
     @property
     def stands(self) -> bool:
-        """Nothing moves, and no program that would."""
+        """Return whether nothing moves and no program would move."""
         return not self.machine.active
 
     async def start(self) -> FakeKuka:
-        """Listen, and let time pass."""
+        """Listen on loopback and start the clock."""
         self._server = await asyncio.get_running_loop().create_server(lambda: _Client(self), LOOPBACK, 0)
         self.port = self._server.sockets[0].getsockname()[1]
         self._task = asyncio.create_task(self._pass_time())
         return self
 
     async def close(self) -> None:
-        """Clean up."""
+        """Close all connections and stop the clock."""
         self.cut()
         if self._task is not None:
             self._task.cancel()
@@ -65,23 +65,23 @@ class FakeKuka:
         await asyncio.sleep(0)
 
     def cut(self) -> None:
-        """Pull the plug for good."""
+        """Cut the wire permanently."""
         if self._server is not None:
             self._server.close()
         self.drop()
 
     def drop(self) -> None:
-        """Cut all connections; new ones are taken."""
+        """Cut all connections; new ones are accepted."""
         for client in list(self.clients):
             client.transport.abort()
 
     def advance(self) -> None:
-        """Frames up to the present: what comes now acts from now on."""
+        """Advance the machine to the present, before a request acts."""
         for _ in self.machine.due(time.monotonic()):
             self.machine.frame()
 
     def select(self, name: str, answer: Callable[[int], None]) -> None:
-        """Read the module at once."""
+        """Load the module at once."""
         module = name.rpartition("/")[2]
         try:
             reading: Iterator[None] = self.machine.selecting(
@@ -125,10 +125,10 @@ class _Client(asyncio.Protocol):
 
 
 def kuka_robot(fake: FakeKuka, times: RobotTimes = TIMES) -> KukaRobot:
-    """The driver at that controller."""
+    """Return the driver of that controller."""
     return KukaRobot(Tcp(LOOPBACK, fake.port), Folder(fake.folder), "/R1/PROGRAM/", times, poll_s=0.005, load_s=5.0)
 
 
 def krl(number: int) -> bytes:
-    """A short move: one of many along X, some tens of ms each."""
+    """Return a short move along X of some tens of ms."""
     return b"LIN {X %.1f,Y 0,Z 60,A 0,B 0,C 180}" % (number * 0.4)

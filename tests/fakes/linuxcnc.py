@@ -1,6 +1,6 @@
-"""LinuxCNC behind linuxcncrsh, as docs/protocols/linuxcnc.md describes both. Lines that move take ``block_s`` each.
+"""Fake LinuxCNC with linuxcncrsh according to docs/protocols/linuxcnc.md. Each line with a move takes ``block_s``.
 
-Nothing runs by itself: time passes when somebody asks.
+Its time advances only when a request arrives.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ DWELL = re.compile(rb"G4 ?P([\d.]+)")
 
 
 class FakeLinuxCnc(Peer):
-    """One machine: XYZAC, on and homed."""
+    """Machine with the axes XYZAC, switched on and homed."""
 
     def __init__(self, *, block_s: float = 0.005, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -26,42 +26,42 @@ class FakeLinuxCnc(Peer):
         self.estop, self.machine, self.mode = "OFF", "ON", "MANUAL"
         self.enabled = self.greeted = False
         self.grants = True
-        """Whether ``set enable`` gives control, whatever it is answered."""
+        """Whether ``set enable`` gives control, independent of the answer."""
         self.status = "IDLE"
         self.program: Path | None = None
         self.lines: list[bytes] = []
         self.at, self.done_s = 0, 0.0
-        """Index of the line under way, and how much of its time has passed."""
+        """Index of the line under way, and its elapsed time."""
         self.moving = 0
         self.x_mm = 0.0
         self.displays: list[str] = []
         self.errors: list[str] = []
-        self.heard: list[str] = []
+        self.received: list[str] = []
         self.refuses: set[str] = set()
-        """Orders answered with NAK."""
+        """Commands that are answered with NAK."""
         self.deaf: set[str] = set()
         """Requests that are not answered."""
         self.feed_override = 100
-        """Percent."""
+        """Feed override in percent."""
         self.read_ahead = 0
-        """Lines beyond the motion that it tells when it is idle again."""
+        """Number of lines after the motion that the idle machine reports as read."""
         self._seen_s = clock()
         self._rest = b""
 
     def on_connect(self) -> None:
-        """A new client has no rights."""
+        """Take all rights from a new client."""
         self.enabled = self.greeted = False
         self._rest = b""
 
     def on_bytes(self, data: bytes) -> None:
-        """Requests, one a line."""
+        """Process requests, one per line."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
-            self.hear(line.decode().strip())
+            self.answer(line.decode().strip())
 
-    def hear(self, request: str) -> None:
+    def answer(self, request: str) -> None:
         """Answer one request."""
-        self.heard.append(request)
+        self.received.append(request)
         self.pass_time()
         verb, _, rest = request.partition(" ")
         if any(request.startswith(word) for word in self.deaf):
@@ -76,11 +76,11 @@ class FakeLinuxCnc(Peer):
             self._order(rest)
 
     def say(self, text: str, end: str = "\r\n") -> None:
-        """One line."""
+        """Send one line."""
         self.send(text.encode() + end.encode())
 
     def value(self, name: str) -> str | None:
-        """What ``get`` tells."""
+        """Return the value of a ``get`` request; None where there is none."""
         if name in ("operator_display", "error"):
             queue = self.displays if name == "operator_display" else self.errors
             return queue.pop(0) if queue else "OK"
@@ -98,11 +98,11 @@ class FakeLinuxCnc(Peer):
         }.get(name)
 
     def line(self) -> int:
-        """Of the motion under way; of what was read last once nothing runs."""
+        """Return the line of the motion under way; when idle, the last line that was read."""
         return self.moving if self.status != "IDLE" else self.moving + self.read_ahead
 
     def pass_time(self) -> None:
-        """What has happened since somebody asked last."""
+        """Advance the machine by the time since the last request."""
         now = self.clock()
         left, self._seen_s = now - self._seen_s, now
         while self.status == "RUNNING" and left > 0.0:

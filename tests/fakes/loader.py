@@ -1,4 +1,4 @@
-"""A part loader as the protocol document describes it, on ASCII lines."""
+"""Fake part loader according to the protocol document, on ASCII lines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ VENDOR, MODEL, SERIAL, FIRMWARE = "Fake Loaders", "FL-9", "SN-0077", "2.0"
 
 
 class FakeLoader(NumberedPeer):
-    """The loader itself, and its line."""
+    """Loader with its line."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -19,9 +19,9 @@ class FakeLoader(NumberedPeer):
         self.seat = ""
         self.fault = 0
         self.faults_amid = 0
-        """Fault bits that the next change ends with."""
+        """Fault bits with which the next change ends."""
         self.brings = ""
-        """What it puts on instead of what it is asked for."""
+        """Part that is loaded instead of the requested one."""
         self.move_s = MOVE_S
         self._order = ""
         self._until = 0.0

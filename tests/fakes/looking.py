@@ -1,4 +1,4 @@
-"""A force sensor's amplifier and a box of inputs as the protocol documents describe them, on ASCII lines."""
+"""Fake force sensor amplifier and input box according to the protocol documents, on ASCII lines."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ RATE_HZ = 200.0
 
 
 class FakeAmplifier(NumberedPeer):
-    """A load cell under whatever weight the test puts on it."""
+    """Load cell with a weight that the test sets."""
 
     def __init__(self) -> None:
         super().__init__()
         self.weight_n = 3.0
-        """What acts, with what hangs on it."""
+        """Acting force with the weight of attached parts."""
         self.fault = 0
         self.stands = False
-        """It converts no more, and answers."""
+        """Whether conversion has stopped while the amplifier still answers."""
         self.shaken = False
-        """A tare does not come to its end."""
+        """Whether a tare does not complete."""
         self._zero_n = 0.0
         self._tared_s = 0.0
         self._stood: tuple[int, float] | None = None

@@ -1,4 +1,4 @@
-"""A profile's device, as the simulator has it, at the far end of a wire."""
+"""Run the simulated device of a profile at the far end of a wire."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ IDENTITY = {"vendor": "Fake", "model": "F-1", "serial": "42", "firmware": "1.2",
 
 
 class ProfiledPeer(Peer):
-    """Answers as the profile says; its machine goes on whenever somebody looks."""
+    """Peer that answers according to the profile; a request advances its machine."""
 
     def __init__(
         self, profile: Path, make: Callable[[SimDeviceProfile], ProfileDeviceModel], *, tcp: bool = False, unit: int = 1
@@ -33,12 +33,12 @@ class ProfiledPeer(Peer):
             self.send(answer)
 
     def step(self) -> None:
-        """Bring the machine to the present."""
+        """Advance the machine to the present."""
         self.machine.step(time.monotonic())
 
 
 class IdealDrive:
-    """A force drive whose force is at once what was asked, without scatter."""
+    """Force drive that has the requested force at once, without scatter."""
 
     STATES = ("retracted", "extending", "contact", "retracting", "fault")
 
@@ -85,7 +85,7 @@ class IdealDrive:
 
 
 def inverter(sheet: SimDeviceProfile) -> Inverter:
-    """A quick one."""
+    """Return a quick inverter."""
     return Inverter(
         lambda *_a, **_k: None,
         time.monotonic(),
@@ -98,5 +98,5 @@ def inverter(sheet: SimDeviceProfile) -> Inverter:
 
 
 def gauge(pressed_n: Callable[[], float]) -> Callable[[SimDeviceProfile], Gauge]:
-    """On which so much presses."""
+    """Return a factory of gauges that read this force."""
     return lambda _sheet: Gauge(pressed_n, IDENTITY)

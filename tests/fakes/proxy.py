@@ -1,4 +1,4 @@
-"""A bad wire: stands between a client and a robot, and treats whole frames of the robot link badly, both ways."""
+"""Bad wire between a client and a robot, which drops, damages and repeats frames of the robot link, both ways."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.fakes.robot import BLOCKS
 
 
 class Wire:
-    """Drops and damages a share of all frames, repeats some of those with blocks, cuts connections, and can stall."""
+    """Proxy that drops and damages a share of all frames, repeats some with blocks, cuts connections, and can stall."""
 
     def __init__(self, port: int, seed: int, *, drop: float, damage: float, repeat: float, cut_every: int) -> None:
         self._target = port
@@ -24,7 +24,7 @@ class Wire:
         self.frames = self.dropped = self.damaged = self.repeated = self.cuts = 0
 
     async def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pump both ways until either end is gone."""
+        """Forward frames both ways until either end has closed."""
         try:
             far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._target)
         except OSError:
@@ -69,7 +69,7 @@ class Wire:
         return frame
 
     async def stall(self, seconds: float, every_s: float) -> None:
-        """Let nothing through for so long, again and again."""
+        """Block all frames repeatedly for a time."""
         while True:
             await asyncio.sleep(every_s - seconds)
             self.flows.clear()
@@ -81,7 +81,7 @@ class Wire:
 async def wire(
     port: int, seed: int = 1, *, drop: float = 0.0, damage: float = 0.0, repeat: float = 0.0, cut_every: int = 0
 ) -> AsyncIterator[Wire]:
-    """A wire to that port for the time of the block."""
+    """Run a wire to that port for the duration of the block."""
     link = Wire(port, seed, drop=drop, damage=damage, repeat=repeat, cut_every=cut_every)
     server = await asyncio.start_server(link.connected, "127.0.0.1", 0)
     link.port = server.sockets[0].getsockname()[1]

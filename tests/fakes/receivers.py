@@ -1,4 +1,4 @@
-"""Whoever is notified: a mail server and a web server on loopback that take their time, refuse, or hang."""
+"""Receivers of notifications: a mail server and a web server on loopback that are slow, refuse, or hang."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from tests.patience import SOON_S
 
 @dataclass
 class MailServer:
-    """What an SMTP server does, and what it was given."""
+    """Behavior of an SMTP server, and the mails that it received."""
 
     port: int = 0
     refuses: dict[str, str] = field(default_factory=dict)
-    """What it answers to recipients, to ``MAIL`` or to ``AUTH``, in place of taking them."""
+    """Refusals by recipient, ``MAIL`` or ``AUTH``."""
     context: ssl.SSLContext | None = None
-    """It offers STARTTLS."""
+    """Context for STARTTLS; None: not offered."""
     silent: threading.Event = field(default_factory=threading.Event)
-    """While it is set, it answers nothing, the greeting included; those who asked stay connected."""
+    """While set, the server sends nothing, not even the greeting; clients stay connected."""
     taken: list[tuple[list[str], EmailMessage]] = field(default_factory=list)
-    """(recipients, mail)."""
+    """Received mails: (recipients, mail)."""
     logins: list[str] = field(default_factory=list)
     asked: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
-    """One for each connection."""
+    """Released for each connection."""
     came: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
-    """One for each mail."""
+    """Released for each mail."""
     read: int = 0
-    """Mails that were waited for."""
+    """Number of mails that ``wait`` has returned."""
 
     def wait(self) -> EmailMessage:
-        """The next mail, once it is there."""
+        """Wait for the next mail and return it."""
         assert self.came.acquire(timeout=SOON_S)
         self.read += 1
         return self.taken[self.read - 1][1]
 
 
 class _Smtp(socketserver.StreamRequestHandler):
-    """One client. The server has ``mail``."""
+    """Connection of one client. The server has ``mail``."""
 
     def handle(self) -> None:
         self.mail: MailServer = self.server.mail  # type: ignore[attr-defined]
@@ -112,12 +112,12 @@ class _Threads(socketserver.ThreadingTCPServer):
     block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that hangs up is no fault."""
+        """Ignore clients that disconnect."""
 
 
 @contextmanager
 def mail_server(port: int = 0, **behaviour: Any) -> Iterator[MailServer]:
-    """A running one."""
+    """Run a server for the duration of the block."""
     mail = MailServer(**behaviour)
     with _Threads(("127.0.0.1", port), _Smtp) as server:
         server.mail = mail  # type: ignore[attr-defined]
@@ -128,19 +128,19 @@ def mail_server(port: int = 0, **behaviour: Any) -> Iterator[MailServer]:
 
 @dataclass
 class Hook:
-    """What a web server answers, and what was posted to it."""
+    """Behavior of a web server, and the requests that it received."""
 
     url: str = ""
     status: int = 200
     answer: str = "ok"
     posted: list[tuple[str, dict[str, str], bytes]] = field(default_factory=list)
-    """(path, headers in lower case, body)."""
+    """Requests: (path, headers in lower case, body)."""
     came: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
     read: int = 0
-    """Bodies that were waited for."""
+    """Number of bodies that ``wait`` has returned."""
 
     def wait(self) -> dict[str, Any]:
-        """The next body, once it is there."""
+        """Wait for the next body and return it."""
         assert self.came.acquire(timeout=SOON_S)
         self.read += 1
         return dict(json.loads(self.posted[self.read - 1][2]))
@@ -157,12 +157,12 @@ class _Http(BaseHTTPRequestHandler):
         hook.came.release()
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - as http.server calls it
-        """Nowhere."""
+        """Log nothing."""
 
 
 @contextmanager
 def web_server(context: ssl.SSLContext | None = None, **behaviour: Any) -> Iterator[Hook]:
-    """A running one."""
+    """Run a server for the duration of the block."""
     hook = Hook(**behaviour)
     with ThreadingHTTPServer(("127.0.0.1", 0), _Http) as server:
         if context is not None:

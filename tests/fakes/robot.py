@@ -1,4 +1,4 @@
-"""A robot as docs/protocols/robot_link.md describes it. Blocks take ``block_s`` each, whatever they say."""
+"""Fake robot according to docs/protocols/robot_link.md. Each block takes ``block_s``, whatever its text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WELCOME, ACK, NAK, ACCEPTED, EXECUTED, STATUS, RESEND = range(0x81, 0x88)
 
 
 class FakeRobot:
-    """Listens on a TCP port; all in the loop of the test, without tasks."""
+    """Robot on a TCP port, in the loop of the test without tasks."""
 
     def __init__(self, *, window: int = 64, block_s: float = 0.005, watchdog_s: float = 3.0) -> None:
         self.window, self.block_s, self.watchdog_s = window, block_s, watchdog_s
@@ -26,7 +26,7 @@ class FakeRobot:
         self.brake_s = 0.02
         self.outgoing: Callable[[int, bytes], Iterable[bytes]] = lambda kind, frame: [frame]
         self.ignores: Callable[[int, bytes], bool] = lambda kind, payload: False
-        self.heard: list[int] = []
+        self.received: list[int] = []
         self.hellos: list[dict[str, Any]] = []
         self.loads: list[dict[str, Any]] = []
         self.clients: list[_Client] = []
@@ -48,7 +48,7 @@ class FakeRobot:
         self._gap = False
 
     async def start(self, port: int = 0) -> FakeRobot:
-        """Listen."""
+        """Listen on loopback."""
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: _Client(self), "127.0.0.1", port)
         self.port = self._server.sockets[0].getsockname()[1]
@@ -62,13 +62,13 @@ class FakeRobot:
             client.transport.abort()
 
     def cut(self) -> None:
-        """Cut all connections and take no more."""
+        """Cut all connections and refuse new ones."""
         if self._server is not None:
             self._server.close()
         self.drop()
 
     async def close(self) -> None:
-        """Clean up."""
+        """Close all connections."""
         self.cut()
         if self._timer is not None:
             self._timer.cancel()
@@ -77,7 +77,7 @@ class FakeRobot:
         await asyncio.sleep(0)
 
     def reboot(self) -> None:
-        """Power cycle: everything is lost."""
+        """Simulate a power cycle: the robot loses its state."""
         self.boots += 1
         self.forget()
         self.drop()
@@ -97,7 +97,7 @@ class FakeRobot:
         }
 
     def on_frame(self, client: _Client, kind: int, payload: bytes) -> None:
-        self.heard.append(kind)
+        self.received.append(kind)
         if self.ignores(kind, payload):
             return
         if client is self.writer:
@@ -142,7 +142,7 @@ class FakeRobot:
         self.hellos.append(content)
         if content["role"] == "writer":
             if self.writer is not None:
-                client.say(NAK, {"of": HELLO, "code": "busy", "text": "somebody writes"})
+                client.say(NAK, {"of": HELLO, "code": "busy", "text": "another client writes"})
                 return
             self.writer = client
         client.welcome = True
@@ -283,7 +283,7 @@ class _Client(asyncio.Protocol):
 
 
 def frame(kind: int, payload: Any) -> bytes:
-    """A frame's bytes; what is not bytes becomes JSON."""
+    """Return the bytes of a frame; a payload of another type is written as JSON."""
     content = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
     check = crc32(struct.pack(">BI", kind, len(content))) & 0xFF
     body = struct.pack(">2sBBI", b"PL", kind, check, len(content)) + content

@@ -1,4 +1,4 @@
-"""Peers on wires that are served by a loop in a thread, for what runs a loop of its own: a command of the shell."""
+"""Serve peers on wires from a loop in a thread, for tests of commands that run their own loop."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from polishd.drivers.transport.address import SerialLine
-from tests.fakes.uart import heard
+from tests.fakes.uart import sampled
 from tests.fakes.wires import Peer, PtyWire, TcpWire
 
 T = TypeVar("T")
 
 
 class Served:
-    """Wires until ``close``."""
+    """Wires that are served until ``close``."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -26,7 +26,7 @@ class Served:
         self._wires: list[PtyWire | TcpWire] = []
 
     def close(self) -> None:
-        """Cut them all."""
+        """Cut all wires and stop the thread."""
         for wire in self._wires:
             self.do(wire.close)
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -34,7 +34,7 @@ class Served:
         self._loop.close()
 
     def do(self, work: Callable[[], Awaitable[T]]) -> T:
-        """In the loop of the wires."""
+        """Run a coroutine in the loop of the wires and return its result."""
 
         async def done() -> T:
             return await work()
@@ -42,21 +42,21 @@ class Served:
         return asyncio.run_coroutine_threadsafe(done(), self._loop).result()
 
     def serial(self, make: Callable[[], Peer], sent: SerialLine, true: SerialLine) -> Path:
-        """A port whose device is set as ``true`` says, while the computer sends as ``sent`` says; its path."""
+        """Open a port whose device has the settings ``true`` and the computer ``sent``; return its path."""
 
         async def opened() -> PtyWire:
             peer = make()
             if sent != true:
                 answer = peer.on_bytes
-                peer.on_bytes = lambda data: answer(heard(data, sent, true, drops_broken=True))  # type: ignore[method-assign]
-                peer.filter = lambda data: [heard(data, true, sent, drops_broken=False)]
+                peer.on_bytes = lambda data: answer(sampled(data, sent, true, drops_broken=True))  # type: ignore[method-assign]
+                peer.filter = lambda data: [sampled(data, true, sent, drops_broken=False)]
             return PtyWire(peer, self._folder / f"port{len(self._wires)}")
 
         self._wires.append(wire := self.do(opened))
         return wire.path
 
     def tcp(self, make: Callable[[], Peer]) -> int:
-        """A port on loopback."""
+        """Open a TCP port on loopback and return it."""
 
         async def opened() -> TcpWire:
             return await TcpWire(make()).start()

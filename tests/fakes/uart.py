@@ -1,12 +1,12 @@
-"""What a serial receiver makes of bytes sent with other settings: levels on a wire, sampled at its own rate."""
+"""Simulate a serial receiver with other settings than the sender: it samples the levels at its own rate."""
 
 from __future__ import annotations
 
 from polishd.drivers.transport.address import SerialLine
 
 
-def heard(data: bytes, sent: SerialLine, by: SerialLine, *, drops_broken: bool) -> bytes:
-    """The bytes that a receiver set as ``by`` reads of ``data``, sent without pauses as ``sent`` says.
+def sampled(data: bytes, sent: SerialLine, by: SerialLine, *, drops_broken: bool) -> bytes:
+    """Return the bytes that a receiver with settings ``by`` reads of ``data``, sent with ``sent`` without pauses.
 
     A character whose parity or stop bit is wrong is dropped, or kept, as a computer's port does that is not to check.
     """
@@ -31,7 +31,7 @@ def heard(data: bytes, sent: SerialLine, by: SerialLine, *, drops_broken: bool) 
 
 
 def _levels(byte: int, line: SerialLine) -> list[int]:
-    """Start bit, data from the lowest bit on, parity, stop bits."""
+    """Return the levels: start bit, data from the lowest bit on, parity, stop bits."""
     bits = [byte >> place & 1 for place in range(8)]
     return [0, *bits, *_parity(bits, line), *[1] * line.stop_bits]
 

@@ -1,4 +1,4 @@
-"""A Universal Robots controller on three sockets of this process: the simulator's machine, without a plant."""
+"""Fake Universal Robots controller on three sockets of this process: the simulator's machine without a plant."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Feed = Callable[[bytes], None]
 
 
 class FakeController:
-    """One machine. Time passes by a task of its own, from ``start`` to ``close``."""
+    """Fake controller. A task advances its time from ``start`` to ``close``."""
 
     def __init__(self, *, speed: float = 1.0, overhead_s: float = 0.002, cycle_s: float = 0.008) -> None:
         arm = UrArm.at((0.0, 0.0, 60.0, 0.0, 0.0))
         self.machine = UrController(SimRobotSection(), arm, cycle_s, overhead_s, speed, time.monotonic())
         self.machine.complain = self._complain
         self.filter: Filter = unchanged
-        """What becomes of the bytes of RTDE on their way out."""
+        """Filter for the RTDE bytes that the controller sends."""
         self.silent = False
         self.held = InputOwnership()
         self.clients: list[RtdeClient] = []
@@ -41,23 +41,23 @@ class FakeController:
 
     @property
     def addresses(self) -> Addresses:
-        """Where it listens."""
+        """Addresses of the controller."""
         return Addresses(*(Tcp(LOOPBACK, wire.port) for wire in self.wires))
 
     @property
     def stands(self) -> bool:
-        """Nothing moves, and no program that would."""
+        """Return whether nothing moves and no program would move."""
         return not self.machine.active
 
     async def start(self) -> FakeController:
-        """Listen, and let time pass."""
+        """Listen on loopback and start the clock."""
         for wire in self.wires:
             await wire.listen()
         self._task = asyncio.create_task(self._pass_time())
         return self
 
     async def close(self) -> None:
-        """Clean up."""
+        """Close all connections and stop the clock."""
         self.cut()
         if self._task is not None:
             self._task.cancel()
@@ -66,17 +66,17 @@ class FakeController:
         await asyncio.sleep(0)
 
     def cut(self) -> None:
-        """Pull the plug for good."""
+        """Cut the wires permanently."""
         for wire in self.wires:
             wire.cut()
 
     def drop(self) -> None:
-        """Cut all connections; new ones are taken."""
+        """Cut all connections; new ones are accepted."""
         for wire in self.wires:
             wire.drop()
 
     def advance(self) -> None:
-        """Frames up to the present: what comes now acts from now on."""
+        """Advance the machine to the present, before a request acts."""
         for _ in self.machine.due(time.monotonic()):
             before_s = self.machine.time_s
             self.machine.frame()
@@ -167,12 +167,12 @@ class _Client(asyncio.Protocol):
         self.on_closed()
 
     def send(self, parts: Iterable[bytes]) -> None:
-        """Unless nothing is to be heard any more."""
+        """Send the parts unless the controller is muted or cut."""
         if not self._wire.controller.silent and not self.transport.is_closing():
             for part in parts:
                 self.transport.write(part)
 
 
 def urscript(number: int) -> bytes:
-    """A short move: one of many along X, 24 ms each."""
+    """Return a short move along X of 24 ms."""
     return b"movel(p[%.4f, 0, 0.06, 0, 3.14159, 0], a=5, v=0.1)" % (number * 4e-4)

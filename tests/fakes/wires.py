@@ -1,4 +1,4 @@
-"""The far ends of wires: a TCP listener and a pseudo-terminal, without tasks, in the loop of the test."""
+"""Far ends of wires: a TCP listener and a pseudo-terminal, without tasks, in the loop of the test."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Filter = Callable[[bytes], Iterable[bytes]]
 
 
 def unchanged(data: bytes) -> Iterable[bytes]:
-    """No fault."""
+    """Return the data unchanged."""
     return [data]
 
 
 def dribbled(data: bytes) -> Iterable[bytes]:
-    """One byte at a time."""
+    """Return the data byte by byte."""
     return [data[at : at + 1] for at in range(len(data))]
 
 
 class Once:
-    """A fault for one message; the rest goes through. ``hit`` ends when it has struck."""
+    """Fault for one message; later messages are unchanged. ``hit`` is set when the fault has acted."""
 
     def __init__(self, fault: Filter) -> None:
         self._fault: Filter | None = fault
@@ -41,7 +41,7 @@ class Once:
 
 
 class Peer(ABC):
-    """What the device does with bytes. Subclasses implement ``on_bytes``; answers go through ``filter``."""
+    """Device at a wire. Subclasses implement ``on_bytes``; answers go through ``filter``."""
 
     def __init__(self) -> None:
         self.filter: Filter = unchanged
@@ -50,20 +50,20 @@ class Peer(ABC):
 
     @abstractmethod
     def on_bytes(self, data: bytes) -> None:
-        """Bytes came."""
+        """Process received bytes."""
 
-    def on_connect(self) -> None:  # noqa: B027 - a peer may have nothing to say
-        """A client came."""
+    def on_connect(self) -> None:  # noqa: B027 - optional
+        """Process a new connection."""
 
     def send(self, data: bytes) -> None:
-        """Answer."""
+        """Send an answer through the filter."""
         if not self.silent:
             for part in self.filter(data):
                 self.write(part)
 
 
 class NumberedPeer(Peer):
-    """Answers numbered lines with a checksum; broken ones are dropped."""
+    """Peer that answers numbered lines with a checksum; it drops damaged ones."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -82,11 +82,11 @@ class NumberedPeer(Peer):
 
     @abstractmethod
     def _answer(self, request: str) -> str:
-        """To a request, without number and checksum."""
+        """Return the answer to a request, both without number and checksum."""
 
 
 class PtyWire:
-    """A pseudo-terminal whose far end a peer holds."""
+    """Pseudo-terminal with a peer at its far end."""
 
     def __init__(self, peer: Peer, link: Path) -> None:
         self.peer = peer
@@ -100,12 +100,12 @@ class PtyWire:
         peer.write = self.write
 
     def write(self, data: bytes) -> None:
-        """Send bytes to whoever has the line open."""
+        """Send bytes to the process that has opened the terminal."""
         if self._master >= 0:
             os.write(self._master, data)
 
     def cut(self) -> None:
-        """Pull the plug; idempotent. The kernel gives the number of a closed one to the next, of any process."""
+        """Close the terminal; idempotent, because the kernel reuses the number of a closed one for any process."""
         if self._master >= 0:
             self.path.unlink(missing_ok=True)
             self._loop.remove_reader(self._master)
@@ -114,7 +114,7 @@ class PtyWire:
             self._master = -1
 
     async def close(self) -> None:
-        """Clean up."""
+        """Close the terminal and remove its link."""
         self.cut()
 
     def _readable(self) -> None:
@@ -126,7 +126,7 @@ class PtyWire:
 
 
 class TcpWire:
-    """A TCP listener for one peer; the newest client is the one that is answered."""
+    """TCP listener for one peer, which answers the newest client."""
 
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
@@ -136,7 +136,7 @@ class TcpWire:
         peer.write = self.write
 
     async def start(self, port: int = 0) -> TcpWire:
-        """Listen."""
+        """Listen on loopback."""
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: _Client(self), "127.0.0.1", port)
         self.port = self._server.sockets[0].getsockname()[1]
@@ -148,31 +148,31 @@ class TcpWire:
             self._clients[-1].write(data)
 
     def drop(self) -> None:
-        """Cut all connections; new ones are taken."""
+        """Cut all connections; new ones are accepted."""
         for client in self._clients:
             client.abort()
         self._clients.clear()
 
     def cut(self) -> None:
-        """Cut all connections and take no more; idempotent."""
+        """Cut all connections and refuse new ones; idempotent."""
         if self._server is not None:
             self._server.close()
         self.drop()
 
     async def close(self) -> None:
-        """Clean up."""
+        """Close the listener and all connections."""
         self.cut()
         if self._server is not None:
             await self._server.wait_closed()
         await asyncio.sleep(0)
 
     def connected(self, client: asyncio.Transport) -> None:
-        """A client came."""
+        """Add a client."""
         self._clients.append(client)
         self.peer.on_connect()
 
     def disconnected(self, client: asyncio.Transport) -> None:
-        """A client went."""
+        """Remove a client."""
         if client in self._clients:
             self._clients.remove(client)
 

@@ -255,7 +255,7 @@ class Outside(socketserver.ThreadingTCPServer):
     """Proxy that refuses and records every request: those to other hosts than loopback."""
 
     daemon_threads = True
-    heard: list[str]
+    received: list[str]
 
 
 class _Refusal(socketserver.StreamRequestHandler):
@@ -263,14 +263,14 @@ class _Refusal(socketserver.StreamRequestHandler):
 
     def handle(self) -> None:
         """Record the first line of a request."""
-        self.server.heard.append(self.rfile.readline(1000).decode(errors="replace").strip())
+        self.server.received.append(self.rfile.readline(1000).decode(errors="replace").strip())
 
 
 @contextlib.contextmanager
 def outside() -> Iterator[Outside]:
     """Run the proxy for the duration of the block."""
     with Outside(("127.0.0.1", 0), _Refusal) as server:
-        server.heard = []
+        server.received = []
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
         thread.start()
         try:
@@ -318,7 +318,7 @@ def browsing(folder: Path, options: Sequence[str]) -> Iterator[Firefox]:
                 with contextlib.closing(wire):
                     page = Firefox(wire)
                     yield page
-                    assert proxy.heard == [], f"Firefox itself asks for something outside: {proxy.heard}"
+                    assert proxy.received == [], f"Firefox itself asks for something outside: {proxy.received}"
             finally:
                 process.terminate()
                 process.wait(SOON_S)

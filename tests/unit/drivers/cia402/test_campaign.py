@@ -218,7 +218,7 @@ async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Call
         await device.close()
         assert len(asyncio.all_tasks()) == tasks
         opened = opened or descriptors()
-        drive.heard.clear()
+        drive.received.clear()
         alive = alive or objects_alive()
     assert descriptors() == opened
     assert objects_alive() - alive < 1_000

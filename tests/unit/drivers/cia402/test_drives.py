@@ -100,10 +100,10 @@ async def test_open_tells_the_drive_what_to_do_alone_and_enables_nothing(spin: S
 async def test_what_the_drive_has_already_is_not_written_again(spin: Spin) -> None:
     device, drive, _ = spin
     await device.open()
-    writes = sum(data[0] >> 5 == 1 for _, data in drive.heard)
+    writes = sum(data[0] >> 5 == 1 for _, data in drive.received)
     await device.close()
     await device.open()
-    assert sum(data[0] >> 5 == 1 for _, data in drive.heard) == writes > 0
+    assert sum(data[0] >> 5 == 1 for _, data in drive.received) == writes > 0
 
 
 @pytest.mark.one_of_each
@@ -387,12 +387,12 @@ async def test_force_off_then_up_then_current_off(tmp_path: Path, lift: str, mod
     device = cia402_actuator(SlcanAddress(wire.path), PATIENT_COIL, lift=lift, lift_n=3.0)
     await device.open()
     await device.set_force(10.0)
-    del drive.heard[:]
+    del drive.received[:]
     await device.retract()
     assert drive.written(0x6071) == ([0, 0xFFC4] if lift == "torque" else [0])
     assert drive.written(0x6040) == ([0x3F, 0] if lift == "position" else [0])
-    first = next(index for index, (_, data) in enumerate(drive.heard) if data[0] >> 5 == 1)
-    assert drive.heard[first][1][1:3] == b"\x71\x60", "the force goes first"
+    first = next(index for index, (_, data) in enumerate(drive.received) if data[0] >> 5 == 1)
+    assert drive.received[first][1][1:3] == b"\x71\x60", "the force goes first"
     assert (coil.modes, drive.node.power.state) == (modes, stage.DISABLED)
     assert coil.position_mm <= REST_MM
     drive.stop()
@@ -448,7 +448,7 @@ async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press
     assert drive.node.power.state == stage.FAULT
     await device.set_speed(600.0)
     assert motor.rpm == pytest.approx(600.0, rel=0.03)
-    assert drive.heard.count((0x000, b"\x82\x05")) == 1
+    assert drive.received.count((0x000, b"\x82\x05")) == 1
     assert drive.node.objects.values[0x1016, 1] == CONTROLLER << 16 | 2500, "written again"
     await device.make_safe()
     actuator, drive, coil = press

@@ -59,7 +59,7 @@ async def until(robot: LinuxCnc, state: str) -> None:
 
 
 def orders(fake: FakeLinuxCnc) -> list[str]:
-    return [said for said in fake.heard if said.startswith("set")]
+    return [said for said in fake.received if said.startswith("set")]
 
 
 OPENED = ["set echo off", "set verbose on", "set enable EMCTOO", "set set_wait received"]
@@ -68,7 +68,7 @@ OPENED = ["set echo off", "set verbose on", "set enable EMCTOO", "set set_wait r
 async def test_opening_proves_control_and_gives_no_order(rig: Rig) -> None:
     await asyncio.sleep(0.05)
     assert orders(rig.fake) == OPENED
-    assert "get enable" in rig.fake.heard
+    assert "get enable" in rig.fake.received
 
 
 async def test_it_does_not_open_where_another_client_keeps_control(rig: Rig, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ async def test_it_is_opened_by_the_name_that_the_controller_has_for_it(tmp_path:
     await robot.open()
     fake._obey = lambda name, value: None  # type: ignore[method-assign]
     await load(robot)
-    assert "set open /mnt/programs/polishd.ngc" in fake.heard
+    assert "set open /mnt/programs/polishd.ngc" in fake.received
     await robot.close()
     await wire.close()
 
@@ -126,7 +126,9 @@ async def test_a_machine_that_is_off_is_neither_switched_on_nor_moved(
     with pytest.raises(DeviceRefused, match=why):
         await rig.robot.prepare(plan_of(BLOCKS))
     await rig.robot.make_safe()
-    assert not [said for said in rig.fake.heard if said.startswith(("set estop", "set machine", "set home", "set run"))]
+    assert not [
+        said for said in rig.fake.received if said.startswith(("set estop", "set machine", "set home", "set run"))
+    ]
 
 
 async def test_a_wrong_password_is_refused(rig: Rig, tmp_path: Path) -> None:
@@ -195,7 +197,7 @@ async def test_what_is_lost_goes_on_and_make_safe_aborts_it_over_a_new_connectio
     assert rig.fake.status == "RUNNING", "LinuxCNC does not care"
     await rig.robot.make_safe()
     assert rig.fake.status == "IDLE"
-    assert rig.fake.heard.count("set abort") == 2
+    assert rig.fake.received.count("set abort") == 2
     with pytest.raises(LinkError):
         await rig.robot.progress()
 
@@ -223,7 +225,7 @@ async def test_a_stop_that_nobody_asked_for_is_passed(rig: Rig) -> None:
     await rig.robot.resume()
     found = await executed(rig.robot)
     assert [one.seq for one in found] == list(range(len(BLOCKS)))
-    assert rig.fake.heard.count("set resume") == 1
+    assert rig.fake.received.count("set resume") == 1
 
 
 async def test_a_hold_at_such_a_stop_stays_a_hold(rig: Rig) -> None:
@@ -233,7 +235,7 @@ async def test_a_hold_at_such_a_stop_stays_a_hold(rig: Rig) -> None:
     await rig.robot.hold()
     await asyncio.sleep(0.1)
     assert rig.fake.status == "PAUSED"
-    assert "set resume" not in rig.fake.heard
+    assert "set resume" not in rig.fake.received
 
 
 @pytest.mark.parametrize("how", ["hold", "make_safe"])
@@ -257,8 +259,8 @@ async def test_what_is_told_to_stay_while_it_is_being_started_stays(
     await (await stays.get())
     await asyncio.sleep(0.05)
     assert rig.fake.status != "RUNNING"
-    assert rig.fake.heard.count("set run") == bool(approach_blocks)
-    assert "set resume" not in rig.fake.heard
+    assert rig.fake.received.count("set run") == bool(approach_blocks)
+    assert "set resume" not in rig.fake.received
     assert (await rig.robot.progress()).state == "held"
 
 
@@ -326,7 +328,7 @@ async def test_a_resume_before_the_last_block_waits_for_it(rig: Rig) -> None:
     await rig.robot.send(plan.segments[:5])
     assert rig.robot.buffer_s == 0.0
     await rig.robot.resume()
-    assert "set run" not in rig.fake.heard
+    assert "set run" not in rig.fake.received
     await rig.robot.send(plan.segments[5:])
     assert len(await executed(rig.robot)) == len(BLOCKS)
 
@@ -339,7 +341,7 @@ async def test_a_hold_takes_such_a_resume_back(rig: Rig) -> None:
     await rig.robot.hold()
     await rig.robot.send(plan.segments)
     assert (await rig.robot.progress()).state == "held"
-    assert "set run" not in rig.fake.heard
+    assert "set run" not in rig.fake.received
 
 
 async def test_a_line_too_long_for_linuxcnc_is_refused(rig: Rig) -> None:

@@ -67,7 +67,7 @@ async def test_pings_keep_it_running(pair: Pair) -> None:
             seen.append(one)
             break
     assert fake.state == "running"
-    assert fake.heard.count(wire.PING) >= 3
+    assert fake.received.count(wire.PING) >= 3
 
 
 async def test_a_robot_that_hears_nothing_holds(pair: Pair) -> None:
@@ -270,7 +270,7 @@ async def test_commands_are_sent_once(pair: Pair, monkeypatch: pytest.MonkeyPatc
     fake.ignores = lambda kind, payload: kind == wire.RESUME
     with pytest.raises(LinkError, match="no answer"):
         await robot.resume()
-    assert fake.heard.count(wire.RESUME) == 1
+    assert fake.received.count(wire.RESUME) == 1
 
 
 async def test_another_program_than_announced(pair: Pair) -> None:
@@ -304,7 +304,7 @@ async def test_many_commands_at_once(pair: Pair) -> None:
     await robot.send(PLAN.segments[:40])
     await asyncio.gather(*(robot.hold() for _ in range(5)))
     await asyncio.gather(*(robot.resume(until=0) for _ in range(5)))
-    assert fake.heard.count(wire.RESUME) == 5
+    assert fake.received.count(wire.RESUME) == 5
 
 
 async def test_load_names_the_program_and_the_blocks(pair: Pair) -> None:

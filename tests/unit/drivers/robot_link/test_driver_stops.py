@@ -38,7 +38,7 @@ async def test_one_writer_only(pair: Pair) -> None:
 async def test_hold_is_known_from_status_where_its_answer_is_lost(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     robot, fake = pair
     monkeypatch.setattr(driver, "HOLD_ANSWER_S", 0.1)
-    fake.outgoing = lambda kind, frame: [] if kind == wire.ACK and fake.heard[-1] == wire.HOLD else [frame]
+    fake.outgoing = lambda kind, frame: [] if kind == wire.ACK and fake.received[-1] == wire.HOLD else [frame]
     fake.block_s = 0.1
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:30])
