@@ -461,7 +461,7 @@ async def test_blocks_last_as_long_as_the_machine_moves(robot: RobotRig) -> None
     assert sum(middle) / len(middle) == pytest.approx(0.1 * 2**0.5 / 5.0, abs=0.012)
 
 
-async def test_the_robot_stops_where_it_is_told_and_goes_on_from_there(robot: RobotRig, slow: list[bytes]) -> None:
+async def test_the_robot_stops_where_it_is_reported_and_goes_on_from_there(robot: RobotRig, slow: list[bytes]) -> None:
     plan = plan_of(slow)
     await robot.device.prepare(plan)
     await robot.device.send(plan.segments)
@@ -554,7 +554,7 @@ async def test_make_safe_in_contact_takes_the_force_off_before_it_lifts(
     assert order == ["force_zero", "tool_lifted", "retracted"]
 
 
-async def test_an_actuator_that_nobody_cares_for_lets_go_by_itself(actuator: ActuatorRig) -> None:
+async def test_an_actuator_without_a_controller_lets_go_alone(actuator: ActuatorRig) -> None:
     await actuator.device.set_force(12.0)
     await seen(actuator.safe)
     status = await actuator.device.status()
@@ -601,7 +601,7 @@ async def test_the_spindle_refuses_what_its_drive_says_it_cannot(spindle: Spindl
 
 
 @pytest.mark.full
-async def test_a_spindle_that_nobody_cares_for_stops_and_says_why(
+async def test_a_spindle_without_a_controller_stops_and_says_why(
     spindle: SpindleRig, cells: Cells, request: Any
 ) -> None:
     place = request.node.callspec.params["spindle"]

@@ -47,7 +47,7 @@ url = "{url}"
 
 
 @pytest.mark.full
-def test_a_spindle_that_dies_at_night_is_heard_of(tmp_path: Path) -> None:
+def test_a_spindle_that_fails_at_night_is_reported(tmp_path: Path) -> None:
     with mail_server() as server:
         port = server.port
     with web_server() as hook, small_cell(tmp_path / "cell", seed=4) as files:
@@ -77,7 +77,7 @@ def test_a_spindle_that_dies_at_night_is_heard_of(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_a_refused_map_is_heard_of_at_once_and_stands_in_the_status(tmp_path: Path) -> None:
+def test_a_refused_map_is_reported_at_once_and_stands_in_the_status(tmp_path: Path) -> None:
     """The instrument is silent, and the map of the previous part is dropped into its folder."""
     with web_server() as hook, small_cell(tmp_path / "cell", seed=4) as files:
         os.kill(json.loads((files.sim_dir / "pids.json").read_text())["interferometer"], signal.SIGKILL)

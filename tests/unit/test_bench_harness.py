@@ -199,7 +199,7 @@ class TestRunning:
         assert [row.name for row in rows] == ["good", "good"]
         assert not complete
 
-    def test_progress_and_failure_are_told(self, package: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_progress_and_failure_are_reported(self, package: Path, capsys: pytest.CaptureFixture[str]) -> None:
         bench.run(["bad"], Console(), package.name)
         told = capsys.readouterr().out
         assert "running" in told

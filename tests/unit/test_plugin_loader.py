@@ -192,7 +192,7 @@ def test_record_name_that_an_earlier_plugin_has(install: Any) -> None:
     assert reason(hooks, "second").startswith("polishd_dwell_solvers: plugin 'first' already has 'qp'")
 
 
-def test_all_refused_are_told(install: Any) -> None:
+def test_all_refused_are_reported(install: Any) -> None:
     with pytest.raises(PluginError) as caught:
         load_plugins(["no_a", "no_b"]).report.require()
     assert [line.split("'")[1] for line in str(caught.value).splitlines()] == ["no_a", "no_b"]

@@ -112,7 +112,7 @@ MAIL = '[notify.mail]\ntype = "email"\nhost = "here"\nsender = "a@b.c"\nto = ["a
         ('[notify."a b"]\ntype = "email"\n', OWN, "'a b' is not allowed; use letters, digits,"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told_by_its_key(
+def test_what_is_wrong_is_reported_by_its_key(
     cell: Any, polishd: Polishd, text: str, plugins: tuple[str, ...], says: str
 ) -> None:
     shown = polishd("notify", cell(text, plugins))
@@ -135,7 +135,7 @@ def test_a_broken_plugin_is_refused_by_name(cell: Any, polishd: Polishd, install
     assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}. Correct the plugin" in told.err
 
 
-def test_somebody_elses_notifier(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:
+def test_a_notifier_of_a_plugin(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:
     body = "def build(options, base_dir): return lambda it: (base_dir / 'sent').write_text(options.number + it.text)"
     install("acme", PAGER.format(body=body))
     path = cell('[notify.me]\ntype = "pager"\nnumber = "4711"\n', ("acme",))

@@ -103,7 +103,7 @@ def test_what_check_finds(
     assert says in said.err
 
 
-def test_a_robot_that_cannot_read_the_program_is_told_with_the_key(polishd: Polishd, files: DemoFiles) -> None:
+def test_a_robot_that_cannot_read_the_program_is_reported_with_the_key(polishd: Polishd, files: DemoFiles) -> None:
     """URScript is the only language of a UR."""
     wrong = files.out / "wrong.toml"
     text = files.cell.read_text().replace('type = "robot_link"', 'type = "universal_robots"')
@@ -358,7 +358,7 @@ def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPa
     assert "unsafe" not in people, "nothing to say"
 
 
-def test_probe_with_nobody_there(polishd: Polishd, files: DemoFiles) -> None:
+def test_probe_without_devices(polishd: Polishd, files: DemoFiles) -> None:
     said = polishd("probe", files.cell)
     assert said.code == 5
     assert "4 of 4 devices failed: actuator, robot, spindle, metrology" in said.err
@@ -383,7 +383,7 @@ def test_plugins(polishd: Polishd) -> None:
     assert "checks and events" in polishd("plugins").out
 
 
-def test_a_plugin_that_is_refused_is_told_and_fails(polishd: Polishd, files: DemoFiles) -> None:
+def test_a_plugin_that_is_refused_is_reported_and_fails(polishd: Polishd, files: DemoFiles) -> None:
     wrong = files.out / "plugins.toml"
     wrong.write_text(with_values(files.cell.read_text(), {"plugins": {"load": ["rnc_robot", "missing"]}}))
     said = polishd("plugins", wrong, "--json")
@@ -403,7 +403,7 @@ def test_a_demo_does_not_write_into_what_is_there(polishd: Polishd, tmp_path: Pa
 
 
 @pytest.mark.full
-def test_a_simulator_that_does_not_start_is_told(
+def test_a_simulator_that_does_not_start_is_reported(
     polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuses(*arguments: object) -> None:

@@ -38,7 +38,7 @@ def test_a_token_is_shown_once_and_taken_away_again(polishd: Polishd, cell: Path
     assert polishd("web", cell, "--add-user", "../x").code == 3
 
 
-def test_a_file_of_users_that_cannot_be_read_lets_nobody_in(polishd: Polishd, cell: Path) -> None:
+def test_an_unreadable_user_file_admits_no_user(polishd: Polishd, cell: Path) -> None:
     path = users_path(load_config(cell))
     path.parent.mkdir(exist_ok=True)
     path.write_text('{"anna": {"role": "king", "token_sha256": "00"}}')

@@ -85,6 +85,6 @@ def test_a_cell_whose_daemon_runs_goes_on_with_what_it_knows(polishd: Polishd, c
         )
 
 
-def test_a_cell_that_is_told_not_to_remember_says_so(polishd: Polishd, cell: Path) -> None:
+def test_a_cell_that_is_set_not_to_remember_says_so(polishd: Polishd, cell: Path) -> None:
     cell.write_text(cell.read_text().replace("# use_previous = true", "use_previous = false"))
     assert "estimates.use_previous is false" in polishd("estimates", "show", cell).out

@@ -80,7 +80,7 @@ def test_at_work(tmp_path: Path, place: str) -> None:
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
 
 
-def test_behind_nohup_it_is_not_heard(tmp_path: Path) -> None:
+def test_behind_nohup_it_is_ignored(tmp_path: Path) -> None:
     """Who started it with SIGINT ignored meant that."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

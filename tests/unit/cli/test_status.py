@@ -32,7 +32,7 @@ def test_it_is_what_the_models_read(tmp_path: Path) -> None:
     )
 
 
-def test_what_else_is_wrong_with_a_file_keeps_nobody_from_its_daemon(tmp_path: Path) -> None:
+def test_other_mistakes_in_a_file_do_not_hide_its_daemon(tmp_path: Path) -> None:
     (tmp_path / "cell.toml").write_text('[cell]\nname = "bench"\nstate_dir = "state"\n[job]\nnonsense = 1\n')
     assert cell_summary(tmp_path / "cell.toml") == CellSummary("bench", tmp_path / "state")
 

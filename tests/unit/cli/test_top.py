@@ -80,7 +80,7 @@ def test_it_says_what_goes_on_and_how_old_that_is(cell: Path) -> None:
     assert "heard spindle" not in text, "nothing was ever heard of it"
 
 
-def test_what_is_old_is_told_by_its_age_and_style() -> None:
+def test_what_is_old_is_reported_by_its_age_and_style() -> None:
     assert top._aged("12 N", 0.3).style == ""
     assert top._aged("12 N", 9.0).style == "dim italic"
 

@@ -70,7 +70,7 @@ def test_a_whole_answer_gives_the_state(polishd: Polishd) -> None:
         ("force=70000", "raw example force='70000'"),
     ],
 )
-def test_bad_raw_examples_are_told(polishd: Polishd, raw: str, why: str) -> None:
+def test_bad_raw_examples_are_reported(polishd: Polishd, raw: str, why: str) -> None:
     said = polishd("device", "check", "voice_coil_modbus", "--raw", raw)
     assert said.code == 3
     assert why in said.err
@@ -94,14 +94,14 @@ def test_templates_are_taken_and_say_what_to_do(polishd: Polishd, tmp_path: Path
     assert "it still contains TODO" in warnings
 
 
-def test_a_broken_profile_is_told_with_its_place(polishd: Polishd, tmp_path: Path) -> None:
+def test_a_broken_profile_is_reported_with_its_place(polishd: Polishd, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(file_of("line_drive.toml").read_text().replace("max_force_n", "max_farce_n"))
     said = polishd("device", "check", tmp_path / "mine.toml")
     assert said.code == 3
     assert "mine.toml:15: actuator.max_farce_n: unknown key; did you mean 'max_force_n'?" in said.err
 
 
-def test_find_where_nobody_is(polishd: Polishd) -> None:
+def test_find_without_a_device(polishd: Polishd) -> None:
     said = polishd("device", "scan", "hitachi_wj200", "tcp://127.0.0.1:1", "--units", 2)
     assert said.code == 5
     assert "tcp://127.0.0.1:1: " in said.err

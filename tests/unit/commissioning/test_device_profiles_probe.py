@@ -190,7 +190,7 @@ def asked(polishd: Polishd, demo: Path) -> Asked:
 @pytest.mark.full
 @pytest.mark.one_of_each("case.wire")
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.kind}-{case.what}")
-def test_a_wrong_serial_line_is_told_in_one_line(asked: Asked, served: Served, case: Case) -> None:
+def test_a_wrong_serial_line_is_reported_in_one_line(asked: Asked, served: Served, case: Case) -> None:
     path = served.serial(case.peer, LINE, case.true)
     scheme = f"slcan:{path}?baud=9600" if case.wire == "can" else f"serial:{path}?baud=9600"
     assert re.search(case.says, asked.shown(case.section, scheme))
@@ -199,7 +199,7 @@ def test_a_wrong_serial_line_is_told_in_one_line(asked: Asked, served: Served, c
 @pytest.mark.full
 @pytest.mark.one_of_each("case.wire")
 @pytest.mark.parametrize("case", TCP, ids=lambda case: f"{case.kind}-{case.what}")
-def test_a_wrong_peer_on_tcp_is_told_in_one_line(asked: Asked, served: Served, case: Case) -> None:
+def test_a_wrong_peer_on_tcp_is_reported_in_one_line(asked: Asked, served: Served, case: Case) -> None:
     where = f"127.0.0.1:{served.tcp(case.peer)}"
     address = f"socketcand://{where}/can0" if case.wire == "can" else f"tcp://{where}"
     assert re.search(case.says, asked.shown(case.section, address))
@@ -210,7 +210,7 @@ def test_a_wrong_peer_on_tcp_is_told_in_one_line(asked: Asked, served: Served, c
     [CIA402, *(pytest.param(one, marks=pytest.mark.full) for one in (SPINDLE, LINES, LOADER))],
     ids=["slcan", "rtu", "lines", "loader"],
 )
-def test_a_port_that_does_not_open_is_told_in_one_line(
+def test_a_port_that_does_not_open_is_reported_in_one_line(
     asked: Asked, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, section: str
 ) -> None:
     scheme = "slcan" if section == CIA402 else "serial"
@@ -230,7 +230,7 @@ def test_a_port_that_does_not_open_is_told_in_one_line(
     assert NO_WAY in asked.shown(section, f"{scheme}:{path}")
 
 
-def test_the_wrong_word_order_is_told_in_one_line(asked: Asked, served: Served, tmp_path: Path) -> None:
+def test_the_wrong_word_order_is_reported_in_one_line(asked: Asked, served: Served, tmp_path: Path) -> None:
     template = (TEMPLATES / "force_sensor_modbus.toml").read_text()
     true, wrong = tmp_path / "true.toml", tmp_path / "wrong.toml"
     true.write_text(template.replace('"i32"', '"f32"').replace("scale = 0.01", ""))

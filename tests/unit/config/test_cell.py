@@ -266,7 +266,7 @@ def test_misspelt_section_is_two_findings(tmp_path: Path, example: str) -> None:
     assert second.startswith(f"FILE:{line_of(text, '[prat]')}: prat: unknown key; did you mean 'part'? Known here: ")
 
 
-def test_all_findings_are_told_at_once(tmp_path: Path, example: str) -> None:
+def test_all_findings_are_reported_at_once(tmp_path: Path, example: str) -> None:
     text = replaced(replaced(example, "force_n", "force_n = 0", "process"), "max_cycles", "max_cycles = 0", "job")
     assert [line.split(": ", 2)[1] for line in refused(tmp_path, text).split("\n")] == [
         "process.force_n",

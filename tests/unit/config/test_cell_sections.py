@@ -120,7 +120,7 @@ def test_what_is_wrong_is_placed(tmp_path: Path, old: str, new: str, line: str, 
     assert says in str(caught.value)
 
 
-def test_a_signal_without_any_monitor_is_told(tmp_path: Path, example: str) -> None:
+def test_a_signal_without_any_monitor_is_reported(tmp_path: Path, example: str) -> None:
     with pytest.raises(ConfigError, match=r"signals\.flow: .*the cell has no \[monitor\]"):
         loaded(tmp_path, example + "\n[signals.flow]\nbefore = { min = 1.0 }\n")
 
@@ -142,7 +142,7 @@ def test_keys_of_the_port_and_of_the_type_are_known_together(tmp_path: Path) -> 
     assert "force_sensor.max_diference_n: unknown key; did you mean 'max_difference_n'?" in str(caught.value)
 
 
-def test_keys_above_several_sensors_are_nobodys(tmp_path: Path) -> None:
+def test_keys_above_several_sensors_belong_to_none(tmp_path: Path) -> None:
     text = EXAMPLE.replace("[force_sensor]", "[force_sensor]\nalarm_delay_s = 1.0\n[force_sensor.flange]")
     with pytest.raises(ConfigError, match=r"force_sensor\.alarm_delay_s: "):
         loaded(tmp_path, text)

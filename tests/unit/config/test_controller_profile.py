@@ -123,12 +123,12 @@ def test_a_feed_override_shows_a_hold_too(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_mistake_is_told_with_its_place(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_mistake_is_reported_with_its_place(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         profile(tmp_path, LEAST.replace(old, new, 1))
 
 
-def test_a_profile_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_profile_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="known are plc-ads, plc-modbus, plc-opcua, sinumerik-opcua, staubli-val3"):
         load_controller_profile("sinumerik", tmp_path)
     with pytest.raises(ConfigError, match="cannot be read"):

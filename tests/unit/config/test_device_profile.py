@@ -113,7 +113,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("text", "old", "new", "said"), CASES, ids=[case[3][:40] for case in CASES])
-def test_faults_are_told_with_their_place(tmp_path: Path, text: str, old: str, new: str, said: str) -> None:
+def test_faults_are_reported_with_their_place(tmp_path: Path, text: str, old: str, new: str, said: str) -> None:
     assert text.count(old) >= 1
     broken = text.replace(old, new, 1)
     found = faults(tmp_path, broken)
@@ -127,7 +127,7 @@ def test_the_place_is_the_line(tmp_path: Path) -> None:
     assert found.startswith(f":{line_of(broken, 'comand')}: commands.engage: ")
 
 
-def test_unknown_names_are_told_with_what_there_is() -> None:
+def test_unknown_names_are_reported_with_what_there_is() -> None:
     with pytest.raises(ConfigError, match=r"'delta_ms30' is not known; did you mean 'delta_ms300'\?"):
         profile_of("delta_ms30", Path())
     with pytest.raises(ConfigError, match=r"no_such\.toml"):

@@ -150,7 +150,7 @@ async def test_a_cell_that_is_not_safe_is_held_until_it_is(bench: Bench) -> None
     assert bench.fake.events[-4:] == CLOSED
 
 
-async def test_a_cell_that_is_not_safe_ends_where_nobody_is_there(bench: Bench) -> None:
+async def test_a_cell_that_is_not_safe_ends_without_an_operator(bench: Bench) -> None:
     bench.fake.spindle.acts.fails["make_safe"] = LinkError("deaf")
     async with Running(bench, holds=False) as running:
         with pytest.raises(DeviceFault, match="spindle: deaf"):
@@ -159,7 +159,7 @@ async def test_a_cell_that_is_not_safe_ends_where_nobody_is_there(bench: Bench) 
     assert bench.fake.events[-4:] == CLOSED
 
 
-async def test_a_pass_is_settled_once_the_cell_is_safe_and_told_before_it_goes_on(tmp_path: Path) -> None:
+async def test_a_pass_is_settled_once_the_cell_is_safe_and_reported_before_it_goes_on(tmp_path: Path) -> None:
     begin_earlier(tmp_path, interrupted=True)
     with open_journal(tmp_path) as journal:
         bench = Bench(tmp_path, journal)

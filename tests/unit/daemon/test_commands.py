@@ -87,7 +87,7 @@ async def test_work_that_fails_without_an_order_tells_why_and_no_order_is_late()
     assert await orders.next() is hold, "the one who waited for it is gone"
 
 
-async def test_where_taking_an_order_fails_too_the_more_telling_error_is_told() -> None:
+async def test_where_taking_an_order_fails_too_the_more_useful_error_is_reported() -> None:
     async def no_order() -> OperatorCommand:
         raise LinkError("the socket is gone")
 
@@ -113,7 +113,7 @@ def test_an_order_needs_no_reason() -> None:
         (SafetyStop, ForcesApart, SafetyStop, "the link"),
     ],
 )
-def test_what_nobody_should_go_on_from_counts_more_than_what_can_be_mended(
+def test_an_error_that_forbids_to_resume_counts_more_than_one_with_a_remedy(
     first: type[PolishdError], then: type[PolishdError], stands: type[PolishdError], reason: str
 ) -> None:
     order = OperatorCommand(StateEvent.UNFIT, "the link", error=first)

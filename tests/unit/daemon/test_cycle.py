@@ -145,7 +145,7 @@ async def test_a_pass_that_is_to_teach_is_made_whatever_the_map_says(bench: Benc
     assert "taught" in record.facts
 
 
-async def test_what_a_pass_is_expected_to_leave_is_told_and_kept(bench: Bench) -> None:
+async def test_what_a_pass_is_expected_to_leave_is_reported_and_kept(bench: Bench) -> None:
     job = bench.job(max_cycles=1)
     await bench.polish(job)
     (begun,) = [event for event in job.published if isinstance(event, PassStarted)]
@@ -178,7 +178,7 @@ async def test_what_was_executed_is_journalled_not_what_was_asked(bench: Bench) 
     assert names == ["map_measured", "dwell_solved", "pass_started", "pass_ended", "map_measured", *names[5:]]
 
 
-async def test_the_tool_stays_until_samples_have_told_of_the_last_block(bench: Bench) -> None:
+async def test_the_tool_stays_until_samples_cover_the_last_block(bench: Bench) -> None:
     """They come rarely here: all of the pass has run before the second one."""
     plain = bench.fake.actuator.samples
 
@@ -243,7 +243,7 @@ async def test_a_map_that_is_refused_moves_nothing(bench: Bench) -> None:
     assert bench.moved() == []
 
 
-async def test_a_rate_that_nobody_believes_stops_before_the_next_pass(bench: Bench) -> None:
+async def test_an_implausible_rate_stops_before_the_next_pass(bench: Bench) -> None:
     bench.rate = 0.8
     with pytest.raises(RemovalCheckStop, match="max_rate_change"):
         await bench.polish(bench.job(recipe=small_recipe(max_rate_change=0.1)))

@@ -151,7 +151,7 @@ async def test_a_pass_that_would_fill_the_disk_is_refused_before_contact(bench: 
     assert bench.journal.passes == (), "no pass is begun"
 
 
-async def test_a_disk_that_is_full_ends_it_where_nobody_is_there(bench: Bench, disk: Disk) -> None:
+async def test_a_full_disk_ends_the_daemon_without_an_operator(bench: Bench, disk: Disk) -> None:
     disk.left_mb = 0.0
     async with Running(bench, holds=False) as running:
         with pytest.raises(HostFault, match="make room"):

@@ -258,7 +258,7 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
     assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
 
 
-async def test_without_a_loader_nobody_is_waited_for_where_nobody_is(hall: Hall) -> None:
+async def test_without_a_loader_the_queue_waits_for_no_absent_operator(hall: Hall) -> None:
     hall.add("a")
     with pytest.raises(DeviceRefused, match="put part 'P-a' in, but --no-hold"):
         await hall.run(holds=False)
@@ -416,7 +416,7 @@ async def test_nor_under_one_that_stands_where_a_touch_off_was_cut_off(hall: Hal
     await hall.end()
 
 
-async def test_a_robot_that_has_left_a_wrong_seat_is_in_nobodys_way(hall: Hall) -> None:
+async def test_a_robot_that_has_left_a_wrong_seat_is_not_in_the_way(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
     hall.ends["a"] = [touching(WrongSeat("too high"))]
     await hall.run()
@@ -458,7 +458,7 @@ async def test_without_a_person_it_ends_where_it_would_stop(hall: Hall) -> None:
     assert hall.verdicts() == {"a": "set aside", "b": "waiting"}
 
 
-async def test_a_tool_that_stops_the_queue_ends_it_with_an_error_where_nobody_is(hall: Hall) -> None:
+async def test_a_tool_that_stops_the_queue_ends_it_with_an_error_without_an_operator(hall: Hall) -> None:
     def end(job: Job) -> Outcome:
         job.findings = (Finding("wear", "the tool wore", "cell"),)
         return Outcome.IN_TOLERANCE
@@ -672,7 +672,7 @@ async def test_answers_name_the_command_of_a_queue(hall: Hall) -> None:
 
 
 @pytest.mark.parametrize("ends", [None, SafetyStop("force")])
-async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_told(hall: Hall, ends: SafetyStop | None) -> None:
+async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_reported(hall: Hall, ends: SafetyStop | None) -> None:
     def end(job: Job) -> Any:
         if ends is not None:
             hall.fake.actuator.acts.fails["make_safe"] = LinkError("silent")
@@ -763,7 +763,7 @@ async def test_a_part_that_a_person_had_put_in_is_not_asked_for_again(hall: Hall
     assert hall.verdicts() == {"a": "rejected"}
 
 
-async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_opened(hall: Hall) -> None:
+async def test_a_job_under_way_that_cannot_go_on_is_reported_before_anything_is_opened(hall: Hall) -> None:
     hall.add("a")
     hall.queue.begin(hall.queue.to_do()[0], hall.journal.of_job("a", "P-a", {}).number)
     hall.refused["a"] = ConfigError("cell.toml:3: part.edge_mm: is 5")
@@ -772,7 +772,7 @@ async def test_a_job_under_way_that_cannot_go_on_is_told_before_anything_is_open
     assert hall.fake.events == []
 
 
-def test_states_of_a_queue_are_told_to_whoever_finds_the_daemon_gone() -> None:
+def test_states_of_a_queue_are_reported_when_the_daemon_is_gone() -> None:
     from polishd.daemon.runtime.exit_record import NEXT
 
     assert {DaemonState.IDLE, DaemonState.CHANGING} <= set(NEXT)

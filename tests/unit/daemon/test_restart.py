@@ -153,7 +153,7 @@ async def test_a_job_that_an_earlier_polishd_began_goes_on(site: Rerun) -> None:
 @pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("what", ["arrays", "plan", "start"])
-async def test_a_store_that_lost_what_the_journal_names_is_told_before_anything_is_opened(
+async def test_a_store_that_lost_what_the_journal_names_is_reported_before_anything_is_opened(
     site: Rerun, what: str
 ) -> None:
     await stopped_after_a_pass(site)

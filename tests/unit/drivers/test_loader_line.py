@@ -71,7 +71,7 @@ async def wire() -> TcpWire:
     return await TcpWire(FakeLoader()).start()
 
 
-async def test_a_fault_over_a_change_is_told_with_its_words(wire: TcpWire) -> None:
+async def test_a_fault_over_a_change_is_reported_with_its_words(wire: TcpWire) -> None:
     device = LoaderLine(Tcp("127.0.0.1", wire.port))
     await device.open()
     try:

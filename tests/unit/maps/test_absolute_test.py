@@ -69,7 +69,7 @@ def test_the_system_map_makes_another_map_true(polishd: Polishd, tmp_path: Path,
 
 
 @pytest.mark.full
-def test_people_are_told_what_is_unknown_and_the_file_keeps_how_it_came_about(
+def test_the_text_says_what_is_unknown_and_the_file_keeps_its_origin(
     polishd: Polishd, tmp_path: Path, files: list[Path]
 ) -> None:
     system, picture = tmp_path / "s.x3p", tmp_path / "s.png"
@@ -124,7 +124,7 @@ def test_a_wrong_sense_is_one_line(polishd: Polishd, files: list[Path]) -> None:
 
 
 @pytest.mark.full
-def test_what_cannot_be_told_apart_is_refused(polishd: Polishd, tmp_path: Path, files: list[Path]) -> None:
+def test_what_cannot_be_distinguished_is_refused(polishd: Polishd, tmp_path: Path, files: list[Path]) -> None:
     for asked, code, message in (
         (["--angles", "0,90"], 2, "4 numbers with commas"),
         (["--angles", "0,90,x,1"], 2, "4 numbers with commas"),

@@ -48,7 +48,7 @@ def test_the_mean_leaves_out_what_deviates(polishd: Polishd, tmp_path: Path, rep
     assert back.pitch_mm == pytest.approx(PITCH_MM)
 
 
-def test_people_are_told_the_same(polishd: Polishd, tmp_path: Path, repeats: list[Path]) -> None:
+def test_the_text_says_the_same(polishd: Polishd, tmp_path: Path, repeats: list[Path]) -> None:
     said = polishd("map", "average", *repeats).out
     assert "repeat3.dat" in said
     assert "left out" in said

@@ -60,7 +60,7 @@ def test_errors_of_both_add_in_squares(polishd: Polishd, tmp_path: Path, ending:
     assert [(one.role, one.name) for one in back.history.inputs] == [("map", "a.dat"), ("subtracted", "b.dat")]
 
 
-def test_people_are_told_the_same(polishd: Polishd, tmp_path: Path) -> None:
+def test_the_text_says_the_same(polishd: Polishd, tmp_path: Path) -> None:
     one, two = measured(tmp_path / "a.dat", PART, 1), measured(tmp_path / "b.dat", SYSTEM, 2)
     said = polishd("map", "subtract", one, two).out
     assert "a.dat less b.dat" in said
@@ -141,7 +141,7 @@ def test_a_mean_without_the_system_error_is_as_sure_as_it_says(
 
 
 @pytest.mark.full
-def test_people_are_told_of_the_system_error(polishd: Polishd, tmp_path: Path) -> None:
+def test_the_text_names_the_system_error(polishd: Polishd, tmp_path: Path) -> None:
     files = [measured(tmp_path / f"m{n}.dat", PART + SYSTEM, n) for n in range(3)]
     system = measured(tmp_path / "system.dat", SYSTEM, 9)
     said = polishd("map", "average", *files, "--system", system, "--picture", tmp_path / "p.png").out

@@ -160,7 +160,7 @@ def test_what_does_not_show_the_artefact(polishd: Polishd, tmp_path: Path, ours:
 @pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("ending", [".dat", ".x3p", ".datx"])
-def test_a_map_that_somebody_made_up_proves_nothing(polishd: Polishd, tmp_path: Path, ending: str) -> None:
+def test_a_made_up_map_proves_nothing(polishd: Polishd, tmp_path: Path, ending: str) -> None:
     """A profile by hand was applied to it, or it is a mean of two instruments' maps."""
     ours = profile(tmp_path / "p.toml")
     before, hand = ours.read_bytes(), tmp_path / "hand.toml"

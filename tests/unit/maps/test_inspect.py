@@ -192,7 +192,7 @@ def test_good_files_among_bad_ones_are_said(polishd: Polishd, tmp_path: Path, go
     assert "empty.dat" in said.err
 
 
-def test_a_broken_sdf_of_the_second_edition_hides_nobody(polishd: Polishd, tmp_path: Path, good: Path) -> None:
+def test_a_broken_sdf_of_the_second_edition_hides_no_other_map(polishd: Polishd, tmp_path: Path, good: Path) -> None:
     """Its header is four bytes longer: a type of samples that is none was looked for in the wrong place."""
     whole, torn = tmp_path / "whole.sdf", tmp_path / "torn.sdf"
     whole.write_bytes(sdf_second())
@@ -369,7 +369,7 @@ def test_several_maps_for_people_are_a_row_each(polishd: Polishd, tmp_path: Path
     assert said.out.count("warning: bare.dat") == 1
 
 
-def test_maps_of_one_name_are_told_apart(polishd: Polishd, tmp_path: Path) -> None:
+def test_maps_of_one_name_are_distinguished(polishd: Polishd, tmp_path: Path) -> None:
     """A run's maps are all called map.dat: the table says which is which."""
     folders = [tmp_path / name for name in ("cycle-00", "cycle-01")]
     for folder in folders:

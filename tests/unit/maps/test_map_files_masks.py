@@ -91,7 +91,7 @@ def test_every_verb_takes_it(polishd: Polishd, shown: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.full
-def test_a_mask_is_told_of_each_map_and_drawn(
+def test_the_mask_of_each_map_is_reported_and_drawn(
     polishd: Polishd, shown: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stdout, "_width", 160)

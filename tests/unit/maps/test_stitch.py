@@ -160,7 +160,7 @@ def test_a_smooth_part_tells_no_shift(polishd: Polishd, tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_what_is_no_list_of_places_is_told_with_its_line(polishd: Polishd, tmp_path: Path) -> None:
+def test_what_is_no_list_of_places_is_reported_with_its_line(polishd: Polishd, tmp_path: Path) -> None:
     given = mosaic(tmp_path, said=True)
     two = given.files[:2]
     for text, message in {

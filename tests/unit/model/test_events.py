@@ -42,5 +42,5 @@ def test_opened_has_a_key_for_each_device() -> None:
 
 
 @pytest.mark.parametrize("outcome", Outcome)
-def test_the_outcomes_are_told(outcome: Outcome) -> None:
+def test_the_outcomes_are_reported(outcome: Outcome) -> None:
     assert f"`{outcome.value}`" in event_row(events.RunFolderCompleted)[2]

@@ -60,7 +60,7 @@ async def test_every_mandatory_node_of_jobs_and_results_is_there(tmp_path: Path,
 
 
 @pytest.mark.full
-async def test_the_jobs_are_told_with_their_states(tmp_path: Path, daemon: Answers) -> None:
+async def test_the_jobs_are_reported_with_their_states(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _are(machine, STATES))
         jobs, status = await listed(machine)
@@ -162,7 +162,7 @@ async def test_a_response_is_asked_for_by_job_and_by_state(tmp_path: Path, daemo
 
 
 @pytest.mark.full
-async def test_nobody_can_order_motion(tmp_path: Path, daemon: Answers) -> None:
+async def test_no_client_can_order_motion(tmp_path: Path, daemon: Answers) -> None:
     """Methods of ISA-95 that store, start, pause or stop a job are not there; by the type's they are refused, too."""
     async with watching(tmp_path) as machine:
         control = await inner(machine, "JobManagement", "JobOrderControl")
@@ -179,7 +179,7 @@ async def test_nobody_can_order_motion(tmp_path: Path, daemon: Answers) -> None:
 
 
 @pytest.mark.full
-async def test_nobody_can_write_a_job_or_a_result(tmp_path: Path, daemon: Answers) -> None:
+async def test_no_client_can_write_a_job_or_a_result(tmp_path: Path, daemon: Answers) -> None:
     async with server.serving("cell 7", tmp_path, SECTION) as address, Client(address) as client:
         space = await client.get_namespace_index("urn:polishd:cell 7")
         for name in ("JobManagement.JobOrderControl.JobOrderList", "JobManagement.JobOrderControl.CurrentState"):

@@ -40,7 +40,7 @@ def test_a_job_without_an_end_that_another_came_after_was_given_up(tmp_path: Pat
     assert (known["wedge"].end, known["wedge"].state, known["new"].state) == ("given up", "Aborted", "Running")
 
 
-def test_of_many_jobs_the_latest_are_told(tmp_path: Path) -> None:
+def test_of_many_jobs_the_latest_are_reported(tmp_path: Path) -> None:
     write_journal(tmp_path)
     for number in range(100, 150):
         _write(tmp_path, "INSERT INTO job (id, name, part_id, terms, started, ended, outcome) "

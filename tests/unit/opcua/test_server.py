@@ -71,7 +71,7 @@ async def test_every_mandatory_node_of_the_models_is_there_and_can_be_read(tmp_p
 
 
 @pytest.mark.full
-async def test_a_value_has_its_status_and_the_time_at_which_it_was_told(tmp_path: Path, daemon: Answers) -> None:
+async def test_a_value_has_its_status_and_the_time_at_which_it_was_reported(tmp_path: Path, daemon: Answers) -> None:
     async with watching(tmp_path) as machine:
         await until(lambda: _is(machine, ("Cell", "State"), "polishing"))
         assert await seen(machine, "Cell", "Force_N") == (19.5, "Good")
@@ -99,7 +99,7 @@ async def test_without_a_daemon_the_machine_is_not_available_and_nothing_else_is
 
 
 @pytest.mark.full
-async def test_a_daemon_that_hangs_is_told_as_unknown_while_clients_are_answered(
+async def test_a_daemon_that_hangs_is_reported_as_unknown_while_clients_are_answered(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "ANSWER_S", 0.1)
@@ -122,7 +122,7 @@ async def test_a_daemon_that_hangs_is_told_as_unknown_while_clients_are_answered
 
 @pytest.mark.full
 @pytest.mark.parametrize("answer", [{"ok": False, "error": "no"}, {"ok": True, "state": "dancing"}])
-async def test_an_answer_that_is_none_of_ours_is_told_as_unknown(
+async def test_an_answer_that_is_none_of_ours_is_reported_as_unknown(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]
 ) -> None:
     async with watching(tmp_path) as machine:
@@ -132,7 +132,7 @@ async def test_an_answer_that_is_none_of_ours_is_told_as_unknown(
 
 
 @pytest.mark.full
-async def test_nobody_can_write_add_or_remove(tmp_path: Path, daemon: Answers) -> None:
+async def test_no_client_can_write_add_or_remove(tmp_path: Path, daemon: Answers) -> None:
     async with server.serving("cell 7", tmp_path, SECTION) as address:
         client = Client(address)
         client.set_user("admin")

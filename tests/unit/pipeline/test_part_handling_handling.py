@@ -172,7 +172,7 @@ def test_a_place_beyond_the_machine_is_refused(cell: Cell, hooks: Hooks) -> None
         part_handling.require_allowed(recipe, part_handling.plans(recipe, asked), hooks.check_plan)
 
 
-def test_what_a_plugin_says_against_it_is_told(cell: Cell, hooks: Hooks) -> None:
+def test_what_a_plugin_says_against_it_is_reported(cell: Cell, hooks: Hooks) -> None:
     recipe, asked = asked_by(cell(), hooks)
     plans = part_handling.plans(recipe, asked)
     part_handling.require_allowed(recipe, plans, accept)

@@ -142,7 +142,7 @@ class Worn(Estimates):
     wear: Estimate = UNWORN
 
 
-def test_what_a_model_of_somebody_else_believes_is_kept_in_its_own_record() -> None:
+def test_the_estimates_of_a_plugins_model_are_kept_in_its_own_record() -> None:
     believed = EstimatesInUse(Worn(Estimate(0.9, 0.01), Estimate(0.5, 0.1, "1/h")), 0.004)
     assert EstimatesInUse.load(journalled(believed.facts()), Worn()) == believed
     newer = EstimatesInUse.load(journalled(at_rate(0.9).facts()), Worn(wear=Estimate(0.1)))
@@ -151,7 +151,7 @@ def test_what_a_model_of_somebody_else_believes_is_kept_in_its_own_record() -> N
     assert EstimatesInUse.load(old, Worn()) == EstimatesInUse(Worn(Estimate(0.9)), 0.004)
 
 
-def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
+def test_a_model_of_a_plugin_is_asked_with_its_own_estimates_and_learns(
     program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     from polishd.api import EstimateUpdate, PassEvidence, RemovalAnswer, RemovalRequest, learn_rate
@@ -189,7 +189,7 @@ def test_a_model_of_somebody_else_is_asked_with_its_own_beliefs_and_learns(
         ({"map_grid": Grid(70, 70, 0.9)}, False),
     ],
 )
-def test_a_model_is_told_which_samples_the_maps_had(
+def test_a_model_gets_the_samples_of_the_maps(
     program: Program, measured: MeasureResult, solved: SolveResult, then: dict[str, Any], alike: bool
 ) -> None:
     from polishd.api import EstimateUpdate, PassEvidence, RemovalRequest, learn_rate

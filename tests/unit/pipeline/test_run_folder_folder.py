@@ -70,7 +70,7 @@ def test_a_copy_that_fails_leaves_the_old_one(folder: RunFolder, tmp_path: Path)
     assert (folder.path / "map.dat").read_bytes() == b"old"
 
 
-def test_a_folder_that_somebody_deleted_is_made_anew(folder: RunFolder, tmp_path: Path) -> None:
+def test_a_deleted_folder_is_created_again(folder: RunFolder, tmp_path: Path) -> None:
     cycle = folder.cycle(0)
     here = of_file(Path(__file__))
     for write in (lambda: cycle.bytes("x", b"x"), lambda: cycle.map_file(here), lambda: cycle.json("z", {})):
@@ -144,7 +144,7 @@ def test_the_first_reader_that_knows_the_file_reads_it(tmp_path: Path) -> None:
     assert [len(head) for head in seen] == [SNIFF_BYTES], "the third is not asked"
 
 
-def test_a_map_that_nobody_knows(tmp_path: Path) -> None:
+def test_an_unknown_map(tmp_path: Path) -> None:
     path = tmp_path / "m.dat"
     path.write_bytes(b"?")
     with pytest.raises(MapError, match=r"no loaded reader knows this file \(tried: x, y\)"):
@@ -153,7 +153,7 @@ def test_a_map_that_nobody_knows(tmp_path: Path) -> None:
         read_map(path, [])
 
 
-def test_a_text_under_another_name_is_told_its_own(tmp_path: Path) -> None:
+def test_a_text_under_another_name_gets_its_own_name(tmp_path: Path) -> None:
     """By what a reader says of its content, not of a name alone; one that fails at it is named."""
 
     def odd(head: bytes, path: Path) -> bool:

@@ -324,7 +324,7 @@ def test_the_gap_says_by_how_much_the_other_is_better(program: Program, measured
     assert certificate.cross_check_gap == pytest.approx(0.25)
 
 
-def test_nobody_is_asked_about_what_is_proved(program: Program, measured: MeasureResult) -> None:
+def test_no_operator_is_asked_about_what_is_proved(program: Program, measured: MeasureResult) -> None:
     def never(problem: DwellProblem, within_s: float) -> DwellSolution:
         raise AssertionError("was asked")
 
@@ -550,7 +550,7 @@ def test_nothing_is_learned_from_what_the_gate_cannot_tell(
     assert "rate" in taught.notes[0]
 
 
-def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_told_and_not_taken(
+def test_a_fitted_rate_that_the_gate_could_not_have_refused_is_reported_and_not_taken(
     program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
     weak = 0.15 * solved.expected_s

@@ -102,7 +102,7 @@ def test_a_mail_is_sent_again_to_those_alone_whom_it_did_not_reach(folder: Path)
         ({"MAIL": "451 greylisted"}, "answered 451 greylisted"),
     ],
 )
-def test_a_server_that_refuses_is_told(folder: Path, refuses: dict[str, str], says: str) -> None:
+def test_a_server_that_refuses_is_reported(folder: Path, refuses: dict[str, str], says: str) -> None:
     with mail_server(refuses=refuses) as server, pytest.raises(LinkError, match=says):
         mail_to(folder, server.port)(ALARM)
 
@@ -115,7 +115,7 @@ def test_a_server_that_hangs_is_given_up_in_time(folder: Path, monkeypatch: pyte
             mail_to(folder, server.port)(ALARM)
 
 
-def test_a_server_that_is_not_there_is_told(folder: Path) -> None:
+def test_a_server_that_is_not_there_is_reported(folder: Path) -> None:
     with mail_server() as server:
         port = server.port
     with pytest.raises(LinkError, match=rf"127\.0\.0\.1:{port}: .*refused"):
@@ -159,7 +159,7 @@ def test_starttls_with_a_server_of_the_house(folder: Path, certificate: tuple[Pa
         assert len(server.logins) == 1, "no login to an unknown server"
 
 
-def test_a_server_without_starttls_is_not_told_the_password(folder: Path) -> None:
+def test_a_server_without_starttls_does_not_get_the_password(folder: Path) -> None:
     with mail_server() as server:
         with pytest.raises(LinkError, match="STARTTLS extension not supported"):
             mail_to(folder, server.port, security="starttls", user="cell", password="file:secret")(ALARM)

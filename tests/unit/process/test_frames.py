@@ -200,7 +200,7 @@ def test_a_fixed_lean_is_fixed_on_the_part_wherever_it_lies() -> None:
     np.testing.assert_allclose(np.degrees(np.arctan2(axis[:, 1], axis[:, 0])), 70.0, atol=1e-9)
 
 
-def test_a_dip_that_nobody_knows_is_refused() -> None:
+def test_an_unknown_dip_is_refused() -> None:
     tip, normal = np.ones((1, 3)), np.array([[0.0, 0.0, 1.0]])
     with pytest.raises(ComputeError, match="none of inward"):
         frames.dipped_axes(ComplianceOptions(dip_direction="up"), HOME, tip, normal, 15.0)  # type: ignore[arg-type]

@@ -135,7 +135,7 @@ def test_what_is_there_is_not_touched(desk: Desk, kind: str) -> None:
 # nothing is written
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_anything_is_computed(
+def test_a_folder_that_cannot_be_written_is_reported_before_anything_is_computed(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def computed(*arguments: object) -> None:
@@ -249,7 +249,7 @@ def test_what_would_forbid_to_run_is_noted(desk: Desk) -> None:
     assert any("states no tool axis" in note for note in notes)
 
 
-def test_what_the_pass_would_write_is_told_and_a_disk_that_it_would_fill(
+def test_what_the_pass_would_write_is_reported_and_a_disk_that_it_would_fill(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     summary = desk.plan()

@@ -218,7 +218,7 @@ def test_a_program_comes_through_a_pipe(tmp_path: Path, encoding: Encoding | Non
     assert (tmp_path / "new.rnc").read_bytes() == want
 
 
-def test_moves_that_become_points_are_told_from_the_times_asked_for(tmp_path: Path) -> None:
+def test_moves_that_become_points_are_reported_from_the_requested_times(tmp_path: Path) -> None:
     text = DWELL.replace(b"M2", b"X9 F120\nM2")
     done, _ = rewritten(tmp_path, text, [2.0, 4.0], encoding="feed")
     assert (done.rows, done.points) == (2, 3)

@@ -110,7 +110,7 @@ def test_a_robot_language_answers_with_the_same_keys(polishd: Polishd, program: 
     assert (said.code, "2, time in dwell blocks (s)" in said.out) == (0, True)
 
 
-def test_a_feed_that_nobody_knows_is_no_number(polishd: Polishd, program: Path) -> None:
+def test_an_unknown_feed_is_no_number(polishd: Polishd, program: Path) -> None:
     program.write_bytes(b"G21 G90 G93\nG0 X0 Y0 Z0 A0 C0\nG1 A5 F30\nG1 X1 F60\nM2\n")
     answer = polishd("program", "inspect", program, "--json").answer
     assert answer["feed_range_mm_min"] == [0.0, 60.0]

@@ -45,14 +45,14 @@ def test_each_event_is_taken_once(shop: Database) -> None:
     assert numbers(shop) == [1, 2, 3, 4, 5, 6]
 
 
-def test_a_gap_is_not_taken_and_the_cell_is_told_where_to_begin(shop: Database) -> None:
+def test_a_gap_is_refused_and_the_answer_says_where_to_begin(shop: Database) -> None:
     take(shop, report_of(1, 3))
     assert take(shop, report_of(6, 8)) == 3
     assert take(shop, report_of(2, 8)) == 3, "nor a part of it twice"
     assert numbers(shop) == [1, 2, 3]
 
 
-def test_nothing_new_is_told_by_an_empty_range(shop: Database) -> None:
+def test_an_empty_range_means_nothing_new(shop: Database) -> None:
     take(shop, report_of(1, 3))
     assert take(shop, replace(report_of(4, 3), events=(), tail="")) == 3
     assert take(shop, report_of(4, 4)) == 4

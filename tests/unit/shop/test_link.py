@@ -138,7 +138,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Rig:
 HELD = events.CellHeld(error="a scratch", kind="SafetyStop")
 
 
-def test_what_the_journal_says_is_told_by_its_own_numbers_and_progress_is_left_out(rig: Rig) -> None:
+def test_what_the_journal_says_is_reported_by_its_own_numbers_and_progress_is_left_out(rig: Rig) -> None:
     assert rig.link.turn() is False
     assert rig.office.asked == [], "the cell has no journal yet"
     rig.happens(HELD, events.PassProgressed(block=3), HELD)
@@ -155,7 +155,7 @@ def test_what_the_journal_says_is_told_by_its_own_numbers_and_progress_is_left_o
     assert first["now"]["state"] == "held"
 
 
-def test_a_long_journal_is_told_in_pieces(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_journal_is_reported_in_pieces(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_EVENTS", 2)
     rig.happens(*[HELD] * 5)
     rig.desk.up = False

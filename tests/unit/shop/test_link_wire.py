@@ -77,7 +77,7 @@ def test_it_brings_its_token_and_reads_json(tmp_path: Path) -> None:
         (502, LinkError, "answered 502: wrong"),
     ],
 )
-def test_a_refusal_is_told_apart_from_a_shop_that_is_away(
+def test_a_refusal_is_distinguished_from_a_shop_that_is_away(
     tmp_path: Path, status: int, kind: type[Exception], says: str
 ) -> None:
     with serving(status, b'{"ok": false, "error": "wrong"}') as (port, asked), pytest.raises(kind, match=says):

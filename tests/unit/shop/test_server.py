@@ -92,7 +92,7 @@ def test_a_part_from_the_office_to_a_cell_with_its_program(shop: Asked) -> None:
     ]
 
 
-def test_a_cell_that_has_a_token_and_was_never_heard_is_told(shop: Asked, tmp_path: Path, polishd: Polishd) -> None:
+def test_a_cell_that_has_a_token_and_never_connected_is_listed(shop: Asked, tmp_path: Path, polishd: Polishd) -> None:
     """Its link may have been forgotten, and it waits for parts in vain."""
     shop.cell("north", "report", REPORT)
     north, south = shop.ask("bob", "GET", "status").json()["cells"]

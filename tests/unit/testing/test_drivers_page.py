@@ -110,7 +110,7 @@ def test_its_driver_passes_where_polishd_is_installed_and_there_is_no_checkout(t
 
 @pytest.mark.full
 @pytest.mark.parametrize(("right", "wrong", "test", "demand"), WRONG, ids=[f"{case[2]}-{case[3]}" for case in WRONG])
-def test_a_driver_that_breaks_a_demand_is_told_which(
+def test_a_driver_that_breaks_a_demand_gets_its_name(
     tmp_path: Path, right: str, wrong: str, test: str, demand: str
 ) -> None:
     assert FILES[DRIVER].count(right) == 1

@@ -44,7 +44,7 @@ def test_each_level_says_what_it_adds(cell: Path, tmp_path: Path) -> None:
     assert "POLISHED along program.rnc with 12 N" in said(cell, level=Level.CYCLE, max_force_n=50.0)["all of them"]
 
 
-def test_a_robot_moves_only_where_somebody_says(cell: Path, tmp_path: Path) -> None:
+def test_a_robot_moves_only_with_a_confirmation(cell: Path, tmp_path: Path) -> None:
     assert "does not move: no --motion" in said(cell, **PRESSES)["robot"]
     assert foreseen(HilRequest(cell=cell, **PRESSES)).scope().block is None
     motion = tmp_path / "air.nc"
@@ -54,7 +54,7 @@ def test_a_robot_moves_only_where_somebody_says(cell: Path, tmp_path: Path) -> N
     assert [block(at) for at in range(4)] == [b"G1 X1", b"G1 X0", b"G1 X1", b"G1 X0"]
 
 
-def test_what_is_simulated_is_told_from_what_is_real(cell: Path) -> None:
+def test_simulated_devices_are_distinguished_from_real_ones(cell: Path) -> None:
     lines = words(foreseen(HilRequest(cell=cell, simulate=("spindle",))))
     assert any(line.startswith("spindle (simulated, in place of cia402_spindle") for line in lines)
     assert any(line.startswith("actuator (REAL, voice_coil_modbus serial:sim/actuator") for line in lines)

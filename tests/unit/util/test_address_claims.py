@@ -93,7 +93,7 @@ def test_two_users_who_can_write_different_folders_meet_in_the_one_that_both_can
     assert files(folders[0]) == []
 
 
-def test_the_folder_is_everybodys_and_the_file_may_be_locked_by_another_user(folders: tuple[Path, ...]) -> None:
+def test_the_folder_is_shared_and_the_file_may_be_locked_by_another_user(folders: tuple[Path, ...]) -> None:
     held = claim(["a"], "a")
     assert (folders[0] / "polishd").stat().st_mode & 0o7777 == 0o1777
     assert [file.stat().st_mode & 0o777 for file in files(*folders)] == [0o666] * 2

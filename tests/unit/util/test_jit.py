@@ -53,7 +53,7 @@ def test_no_home_is_writable(sources: tuple[Path, ...], tmp_path: Path, monkeypa
 
 
 @pytest.mark.skipif(os.name != "posix", reason="users without a home are a Unix matter")
-def test_nobody_has_a_home(sources: tuple[Path, ...], monkeypatch: Patch) -> None:
+def test_no_user_has_a_home(sources: tuple[Path, ...], monkeypatch: Patch) -> None:
     """A container's user without a name: there is no ~ at all."""
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.delenv("HOME")

@@ -125,7 +125,7 @@ def test_an_alarm_is_found_however_much_came_after_it(web: Served, monkeypatch: 
     assert [one["what"] for one in web.ask("GET", "/api/alarms").json()["alarms"]] == ["fault 3", "fault 4", "fault 5"]
 
 
-async def test_a_hold_that_is_under_way_is_joined_by_whoever_gave_it_and_by_nobody_else(
+async def test_a_hold_that_is_under_way_is_joined_by_its_user_and_by_no_other(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The journal names the person who gave the order, also after the same order of another person."""
@@ -153,7 +153,7 @@ def test_what_the_daemon_refuses_is_said_in_its_words(web: Served) -> None:
     assert (said.status_code, said.json()["error"]) == (409, web.daemon.refuse)
 
 
-def test_alarms_stay_until_somebody_has_seen_them_and_the_first_is_named(web: Served) -> None:
+def test_alarms_stay_until_a_user_has_seen_them_and_the_first_is_named(web: Served) -> None:
     with Journal.open(web.config.state_dir, job="demo", part_id="P", terms={}) as journal:
         journal.record_event(CellHeld(error="the wire is cut; mend it", kind="LinkError"))
         journal.record_event(CellHeld(error="and the spindle", kind="DeviceFault"))

@@ -110,14 +110,14 @@ def test_what_is_old_has_its_age_and_no_value() -> None:
 
 
 @pytest.mark.parametrize("daemon", ["silent", "none"])
-def test_without_a_daemon_nothing_is_told_as_if_live(daemon: str) -> None:
+def test_without_a_daemon_nothing_is_reported_as_if_live(daemon: str) -> None:
     found = seen(daemon)
     assert found["polishd_daemon_up",] == 0
     assert not [key for key in found if key[0].startswith(("polishd_force", "polishd_cell_state", "polishd_device"))]
     assert found["polishd_parts_total", "in_tolerance"] == 3, "the journal is there all the same"
 
 
-def test_a_daemon_that_refuses_has_told_nothing() -> None:
+def test_a_daemon_that_refuses_gives_no_values() -> None:
     state = {"daemon": "up", "age_s": 0.1, "live": {"ok": False, "error": "unknown verb 'live'"}}
     found = samples(MetricsSnapshot("cell 7", state, TALLY).collect())
     assert ("polishd_cell_state", "polishing") not in found
@@ -134,7 +134,7 @@ def test_it_is_off_unless_asked_for(tmp_path: Path) -> None:
         assert web.ask("GET", "/metrics").status_code == 404
 
 
-def test_a_token_of_any_role_may_scrape_and_nobody_else(metered: Served) -> None:
+def test_a_token_of_any_role_may_scrape_and_no_other_client(metered: Served) -> None:
     assert metered.ask("GET", "/metrics", None).status_code == 401
     for role in Role:
         assert metered.ask("GET", "/metrics", role).status_code == 200
@@ -171,7 +171,7 @@ def test_one_look_serves_all_for_a_second(metered: Served, monkeypatch: pytest.M
     assert not metered.daemon.asked, "the daemon was asked nothing for it"
 
 
-def test_a_journal_that_cannot_be_read_is_said_and_the_rest_is_told(metered: Served) -> None:
+def test_a_journal_that_cannot_be_read_is_said_and_the_rest_is_reported(metered: Served) -> None:
     (metered.config.state_dir / JOURNAL_NAME).write_bytes(b"no database" * 100)
     found = samples(text_string_to_metric_families(metered.ask("GET", "/metrics", Role.WATCH).text))
     assert found["polishd_journal_readable",] == 0

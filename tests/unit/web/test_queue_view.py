@@ -90,7 +90,7 @@ def test_an_empty_queue_and_no_journal(web: Served) -> None:
     assert web.ask("GET", "/api/queue").json() == {"jobs": [], "ended": [], "ended_total": 0}
 
 
-def test_programs_that_take_turns_are_told_apart_by_all_of_them(web: Served) -> None:
+def test_programs_that_take_turns_are_distinguished_by_all_of_them(web: Served) -> None:
     """The expected time is that of jobs with the same programs in the same order."""
     cell = FilledCell(web.config, maps=False)
     for number, order in enumerate(("ab", "ab", "ba")):

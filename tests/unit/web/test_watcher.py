@@ -31,7 +31,7 @@ async def until(page: AsyncIterator[str], daemon: str) -> dict[str, Any]:
     raise AssertionError(f"never {daemon}")
 
 
-async def test_a_daemon_that_comes_and_goes_is_told_with_ages(tmp_path: Path) -> None:
+async def test_a_daemon_that_comes_and_goes_is_reported_with_ages(tmp_path: Path) -> None:
     record_exit(tmp_path, {"state": "stopped", "reason": "by order"})
     async with polling_daemon(tmp_path) as watcher:
         with watcher.page() as page:
@@ -81,7 +81,7 @@ async def test_events_reach_every_page_and_one_that_does_not_read_is_let_go(
         '{"ok": false, "error": "a request is one JSON object a line"}',
     ],
 )  # fmt: skip
-async def test_a_malformed_line_is_passed_by_and_the_next_event_is_heard(
+async def test_a_malformed_line_is_ignored_and_the_next_event_arrives(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, line: str
 ) -> None:
     with answering(tmp_path) as daemon:

@@ -107,7 +107,7 @@ def test_good_tests_are_believed(polishd: Polishd, tmp_path: Path, n: int, noise
 
 
 @pytest.mark.full
-def test_held_out_tests_of_another_robot_are_told(polishd: Polishd, tmp_path: Path) -> None:
+def test_held_out_tests_of_another_robot_are_reported(polishd: Polishd, tmp_path: Path) -> None:
     tests, other = loading_tests(tmp_path / "t.csv", 40, 0.03, 1), made_up(tmp_path / "o.csv", 40, 0.4, 2)
     (doubt,) = polishd("calibrate", "stiffness", tests, "--held-out", other, "--json").answer["doubts"]
     assert doubt.startswith("the held-out tests are off by ")

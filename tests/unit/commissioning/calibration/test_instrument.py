@@ -188,7 +188,7 @@ def test_maps_are_taken_from_the_cells_own_folder(cell: Path) -> None:
 
 
 @pytest.mark.full
-def test_told_is_no_part_of_what_people_are_shown(polishd: Polishd, cell: Path, files: list[Path]) -> None:
+def test_the_system_map_shows_its_terms_and_keeps_its_pitch(polishd: Polishd, cell: Path, files: list[Path]) -> None:
     out = cell.parent / "system.x3p"
     assert polishd("calibrate", "instrument", cell, *files, *QUARTERS, "--out", out).code == 0
     shown = unwrapped(polishd("map", out).out)

@@ -67,7 +67,7 @@ def test_what_only_got_a_return_is_still_to_be_looked_at(tmp_path: Path) -> None
         ("process__rpm", "fast", "700", "must be a number"),
     ],
 )
-def test_a_wrong_answer_is_told_at_once_and_asked_again(
+def test_a_wrong_answer_is_reported_at_once_and_asked_again(
     tmp_path: Path, key: str, wrong: str, right: str, said: str
 ) -> None:
     person = Person(**{key: [wrong, right]})

@@ -82,7 +82,7 @@ def test_what_was_assumed_is_marked_above_its_key_and_what_was_answered_is_not(t
 
 
 @pytest.mark.full
-def test_a_cell_that_nobody_measured_has_no_correction_and_says_what_comes_next(tmp_path: Path) -> None:
+def test_an_unmeasured_cell_has_no_correction_and_says_what_comes_next(tmp_path: Path) -> None:
     shown = init(tmp_path, LENS)
     assert load_config(tmp_path / "cell" / "cell.toml").process.correction == "none"
     assert "polishd calibrate tif" in shown["look"]["process.correction"]
@@ -145,7 +145,9 @@ def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
         ("[part", r"answers\.toml:1: this is not TOML"),
     ],
 )
-def test_a_wrong_answer_is_told_with_its_line_and_nothing_is_written(tmp_path: Path, answers: str, said: str) -> None:
+def test_a_wrong_answer_is_reported_with_its_line_and_nothing_is_written(
+    tmp_path: Path, answers: str, said: str
+) -> None:
     with pytest.raises(ConfigError, match=said):
         init(tmp_path, answers)
     assert not (tmp_path / "cell").exists()

@@ -285,7 +285,7 @@ def test_of_several_devices_the_jobs_own_is_simulated_and_the_others_are_left_ou
 
 
 @pytest.mark.full
-def test_nothing_real_is_started_or_told(tmp_path: Path) -> None:
+def test_nothing_real_is_started_or_notified(tmp_path: Path) -> None:
     text = CELL.replace("# clean = { command", "clean = { command").replace(
         '"run_report"', '"run_report", "notifications"'
     )

@@ -82,7 +82,7 @@ async def test_what_does_not_let_go_is_left_behind(bench: Bench, hole: Hole, cap
     assert hole.requests == 2
 
 
-async def test_what_it_raises_is_told() -> None:
+async def test_what_it_raises_is_reported() -> None:
     async def work() -> None:
         raise DeviceFault("no")
 
@@ -121,7 +121,7 @@ def test_how_long_the_end_may_take_is_known_beforehand(bench: Bench) -> None:
     assert bench.fake.cell.end_s == 2 * (bench.fake.cell.limits.safe_s + SOON_S) + 4 * SOON_S
 
 
-async def test_what_did_not_open_is_told_before_what_did_not_close(bench: Bench, hole: Hole) -> None:
+async def test_what_did_not_open_is_reported_before_what_did_not_close(bench: Bench, hole: Hole) -> None:
     bench.fake.spindle.acts.fails["open"] = LinkError("spindle: no answer")
     bench.fake.robot.acts.fails["close"] = OSError("stuck")
     with pytest.raises(LinkError, match=r"^spindle: no answer") as raised:

@@ -43,12 +43,12 @@ class Monitored:
         return [what for _ in range(steps) for _, what in self.signals.pass_by(0.1, in_contact=True)]
 
 
-def test_what_holds_is_not_told() -> None:
+def test_what_holds_is_not_reported() -> None:
     monitored = Monitored()
     assert monitored.run(10.0, 0.8) == []
 
 
-def test_what_is_wrong_for_longer_than_its_grace_is_told_once() -> None:
+def test_what_is_wrong_for_longer_than_its_grace_is_reported_once() -> None:
     monitored = Monitored()
     assert monitored.run(1.0, 1.2) == []
     assert monitored.run(1.9, 0.2) == []
@@ -63,7 +63,7 @@ def test_a_short_fault_is_forgiven_each_time() -> None:
         assert monitored.run(0.1, 1.2) == []
 
 
-def test_without_grace_it_is_told_at_once() -> None:
+def test_without_grace_it_is_reported_at_once() -> None:
     monitored = Monitored()
     monitored.run(1.0, 1.2)
     assert monitored.run(0.1, 1.2, guard=False) == [
@@ -71,7 +71,7 @@ def test_without_grace_it_is_told_at_once() -> None:
     ]
 
 
-def test_out_of_contact_nothing_is_told_and_the_next_contact_counts_anew() -> None:
+def test_out_of_contact_nothing_is_reported_and_the_next_contact_counts_anew() -> None:
     monitored = Monitored()
     assert len(monitored.run(5.0, 0.2)) == 1
     assert monitored.run(5.0, 0.2, in_contact=False) == []
@@ -135,7 +135,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readiness, "AGAIN_S", 0.01)
 
 
-async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: FakeCell) -> None:
+async def test_what_is_wrong_in_contact_is_reported_with_what_it_leads_to(fake: FakeCell) -> None:
     alarms: asyncio.Queue[tuple[SignalLimits, str]] = asyncio.Queue()
     async with monitoring_signals(fake.cell, lambda *what: alarms.put_nowait(what)):
         while fake.cell.signals.not_ready():  # noqa: ASYNC110
@@ -147,7 +147,7 @@ async def test_what_is_wrong_in_contact_is_told_with_what_it_leads_to(fake: Fake
     assert said.startswith("guard is off, must be on in contact")
 
 
-async def test_a_monitor_that_fails_is_heard_again(fake: FakeCell) -> None:
+async def test_a_monitor_that_fails_is_read_again(fake: FakeCell) -> None:
     monitor = fake.monitor
     async with monitoring_signals(fake.cell, lambda *_: None):
         for failure in (LinkError("gone"), RuntimeError("a plugin's own")):

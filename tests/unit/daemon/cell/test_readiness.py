@@ -30,7 +30,9 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 @pytest.mark.full
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", ["actuator", "robot", "spindle", "metrology"])
-async def test_a_device_that_is_not_ready_is_told_by_its_own_words_and_nothing_moves(bench: Bench, name: str) -> None:
+async def test_a_device_that_is_not_ready_is_reported_by_its_own_words_and_nothing_moves(
+    bench: Bench, name: str
+) -> None:
     bench.fake.devices[name].status_reply = DISABLED
     async with Running(bench) as running:
         await running.held()
@@ -60,7 +62,7 @@ async def test_what_a_watchdog_left_is_taken_back(bench: Bench) -> None:
 
 
 @pytest.mark.full
-async def test_a_device_that_cannot_be_cleared_is_still_told_by_its_own_words(bench: Bench) -> None:
+async def test_a_device_that_cannot_be_cleared_is_still_reported_by_its_own_words(bench: Bench) -> None:
     bench.fake.spindle.status_reply = DISABLED
     bench.fake.spindle.acts.fails["make_safe"] = DeviceFault("spindle: refuses")
     with pytest.raises(DeviceFault, match="spindle is not ready: fault: drive disabled"):

@@ -52,7 +52,7 @@ def test_a_recording_is_read_from_a_pipe_too(tmp_path: Path, packed: bool) -> No
     assert not found.notes
 
 
-def test_nobody_records() -> None:
+def test_no_recorder_runs() -> None:
     assert tap("tcp://h:1") is None
 
 

@@ -155,7 +155,7 @@ async def test_speed_of_the_spindle(samples: list[SpeedSample], error: type[Exce
 
 
 @pytest.mark.parametrize(("rpm", "stops"), [(STILL_RPM, False), (-STILL_RPM, False), (STILL_RPM + 0.1, True)])
-async def test_a_spindle_that_is_told_to_rest_may_read_a_little(rpm: float, stops: bool) -> None:
+async def test_a_stopped_spindle_may_read_a_little(rpm: float, stops: bool) -> None:
     assert STILL_RPM == 5.0
     watched = Watched(ContactLimits(force_n=0.5, rpm=0.0, force_band=0.25, alarm_delay_s=0.5))
     found = await watched.read([speed(0.0, 0.0), speed(9.0, rpm)])
@@ -183,7 +183,7 @@ async def test_a_force_that_is_no_force_is_not_in_its_band(force_n: float) -> No
     assert isinstance(await Watched().read([force(0.0), force(0.6, force_n)]), SafetyStop)
 
 
-async def test_who_hears_all_the_time_is_not_silent_however_long() -> None:
+async def test_a_device_with_steady_samples_is_not_silent() -> None:
     heard: list[int] = []
 
     async def samples() -> AsyncIterator[int]:

@@ -6,7 +6,7 @@ from polishd.daemon.contact.contact_record import REPORT_S, ContactRecord
 from tests.unit.daemon.contact.test_contact_record_touch import LATE_S, Contact
 
 
-def test_a_sample_of_the_moment_in_which_the_robot_is_told_to_run_counts() -> None:
+def test_a_sample_of_the_moment_in_which_the_robot_is_started_counts() -> None:
     contact = Contact()
     contact.touch = ContactRecord(contact.records.extend, LATE_S)
     contact.force(0.5)

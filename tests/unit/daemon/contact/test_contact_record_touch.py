@@ -158,7 +158,7 @@ def test_an_actuator_that_dies_leaves_what_no_later_sample_tells_of_unknown(cont
     assert [record.force_n for record in contact.records] == [12.0] * 4
 
 
-def test_from_the_order_until_the_lift_nobody_knows_then_it_is_off(contact: Contact) -> None:
+def test_from_the_command_until_the_lift_contact_is_unknown_then_it_is_off(contact: Contact) -> None:
     contact.force(3.0)
     contact.touch.leave()
     contact.force(3.05, 0.1)  # no information: the tool rests on the part for half of its lift

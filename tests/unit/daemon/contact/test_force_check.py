@@ -128,7 +128,7 @@ def test_a_slow_sensor_has_its_delay_to_tell() -> None:
     assert ForceCheck(12.0, 1.0, 5.0, set_band=0.25, set_alarm_delay_s=5.0, delay_s=0.1).one_sided_s == 0.2
 
 
-def test_one_that_has_not_been_heard_since_is_not_held_against_the_other(forces: Forces) -> None:
+def test_a_force_without_a_new_reading_is_not_compared_with_the_other(forces: Forces) -> None:
     """A link that asks again: its last word is of before the tool landed."""
     forces.read(0.0, 0.0, 1.0, landed=False)
     for _ in range(6):

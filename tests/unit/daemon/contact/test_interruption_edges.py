@@ -124,7 +124,7 @@ async def test_the_pass_that_is_marked_is_the_one_that_was_left(fake: FakeCell, 
 
 
 @pytest.mark.parametrize("executed", [19, 25])
-async def test_a_robot_that_stands_farther_on_than_it_told_may_have_touched_all_up_to_there(
+async def test_a_robot_that_stands_beyond_its_report_may_have_touched_all_up_to_there(
     fake: FakeCell, journal: Journal, executed: int
 ) -> None:
     interrupted(journal, 17)
@@ -143,7 +143,7 @@ async def test_a_pass_of_which_no_plan_is_kept_leaves_all_of_its_contact(fake: F
     assert journal.uncertain(2) == ((18, CONTACT[1]),)
 
 
-async def test_where_nobody_said_how_long_the_tool_can_have_stayed_all_that_ran_is_uncertain(
+async def test_without_a_bound_on_contact_time_all_blocks_that_ran_are_uncertain(
     fake: FakeCell, journal: Journal
 ) -> None:
     interrupted(journal, reach_s=None)

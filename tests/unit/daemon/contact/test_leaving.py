@@ -83,7 +83,7 @@ async def test_one_that_cannot_be_asked_has_let_go_by_itself_after_its_own_time(
     assert fake.cell.unsafe == (f"actuator: {str(error) or 'no answer within 8.2 s'}",)
 
 
-async def test_of_one_that_answers_and_does_not_lift_nobody_knows() -> None:
+async def test_contact_is_unknown_for_an_actuator_that_answers_and_does_not_lift() -> None:
     """It hears of us, so that its watchdog does not act."""
     fake, touch = FakeCell(), untold()
     fake.robot.lifts = False

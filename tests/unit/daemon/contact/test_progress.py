@@ -154,7 +154,7 @@ def test_a_robot_may_take_its_time_to_start_but_not_for_ever() -> None:
     assert "does not advance" in why
 
 
-def test_with_the_tool_up_it_is_waited_for_long_and_then_told() -> None:
+def test_with_the_tool_up_it_is_waited_for_long_and_then_reported() -> None:
     run = Run()
 
     def wait(seconds: float) -> None:
@@ -320,7 +320,7 @@ async def test_a_robot_that_says_it_runs_and_stands_ends_contact(fake: FakeCell)
     assert fake.clock.at_s - at[0] <= LATEST_S + 2 * WATCH_S
 
 
-async def test_a_robot_that_stands_on_its_way_is_told_after_minutes(fake: FakeCell) -> None:
+async def test_a_robot_that_stands_on_its_way_is_reported_after_minutes(fake: FakeCell) -> None:
     fake.robot.stands = True
     task = asyncio.ensure_future(pass_of(fake))
     await time_passes(fake, 10.0, task)

@@ -263,7 +263,7 @@ async def test_a_spindle_at_rest_may_creep(fake: FakeCell, rpm: float, stops: bo
 
 
 @pytest.mark.parametrize("device", ["actuator", "spindle"])
-async def test_a_fault_is_told_at_once(fake: FakeCell, device: str) -> None:
+async def test_a_fault_is_reported_at_once(fake: FakeCell, device: str) -> None:
     left = left_at(fake)
     watched = fake.devices[device]
     watched.reads = lambda s: replace(s, fault=4) if "pressing" in fake.events else s  # type: ignore[attr-defined]
@@ -327,7 +327,7 @@ async def test_an_actuator_that_falls_silent_is_left_by_the_robot_at_once(fake: 
 
 
 @pytest.mark.parametrize(("unpowered", "is_off"), [("lifts", True), ("stays", False)])
-async def test_an_actuator_that_answers_nobody_is_off_by_itself_only_where_it_lifts_without_power(
+async def test_a_silent_actuator_is_off_alone_only_where_it_lifts_without_power(
     fake: FakeCell, unpowered: Any, is_off: bool
 ) -> None:
     fake.robot.lifts = False
@@ -555,7 +555,7 @@ async def test_make_safe_does_not_wait_for_ever(fake: FakeCell, broken: str, mon
     assert fake.cell.unsafe == (f"{broken}: no answer within 0.02 s",)
 
 
-async def test_at_rest_the_robot_is_never_told_to_lift(fake: FakeCell) -> None:
+async def test_at_rest_the_robot_is_never_commanded_to_lift(fake: FakeCell) -> None:
     """At a start nothing moves, whatever the actuator reports."""
     fake.actuator.acts.fails["make_safe"] = LinkError("gone")
     await make_safe(fake.cell)
@@ -568,7 +568,7 @@ async def test_make_safe_forgets_what_was_unsafe_before(fake: FakeCell) -> None:
     assert fake.cell.unsafe == ()
 
 
-async def test_everything_broken_is_told(fake: FakeCell) -> None:
+async def test_everything_broken_is_reported(fake: FakeCell) -> None:
     for name in ("actuator", "robot", "spindle"):
         fake.devices[name].acts.fails["make_safe"] = LinkError(f"no {name}")
     with pytest.raises(KeyError):

@@ -33,7 +33,7 @@ async def test_an_idle_robot_that_does_not_say_whether_it_moves_counts_as_moving
     assert "robot.right does not report whether it moves" in caplog.text
 
 
-async def test_what_is_cancelled_from_within_is_told_at_once() -> None:
+async def test_what_is_cancelled_from_within_is_reported_at_once() -> None:
     """It is no order of ours that came meanwhile."""
 
     async def ends_itself() -> None:
@@ -131,7 +131,7 @@ async def test_landing_has_its_own_time_and_then_the_grace() -> None:
     assert "robot.make_safe" not in fake.events
 
 
-async def test_why_contact_is_left_is_told_before_anybody_has_confirmed() -> None:
+async def test_why_contact_is_left_is_reported_before_a_device_has_confirmed() -> None:
     """Seconds may pass until the devices confirm; status has to show the error before."""
     fake, errors = FakeCell(), list[tuple[str, list[str]]]()
     fake.cell.on_broken = lambda error: errors.append((str(error), [*fake.events]))

@@ -110,7 +110,7 @@ async def test_the_end_waits_until_the_last_block_is_judged(contact: Pass) -> No
     assert contact.journal.uncertain(0) == ()
 
 
-async def test_a_robot_that_is_lost_in_contact_ends_it_and_what_it_told_stays(contact: Pass) -> None:
+async def test_a_robot_that_is_lost_in_contact_ends_it_and_its_reports_stay(contact: Pass) -> None:
     contact.robot.reports(5, 6, 7)
     contact.robot.fails(LinkError("robot: gone"))
     contact.fake.robot.acts.fails["progress"] = LinkError("robot: gone")
@@ -195,9 +195,7 @@ async def test_a_disk_that_does_not_keep_up_ends_contact(contact: Pass, monkeypa
     assert contact.robot.left
 
 
-async def test_others_have_their_turns_while_many_blocks_are_told(
-    contact: Pass, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_other_tasks_run_while_many_blocks_are_reported(contact: Pass, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
     waits: list[float] = []
     loop = asyncio.get_running_loop()
@@ -219,7 +217,7 @@ async def test_others_have_their_turns_while_many_blocks_are_told(
     assert {TURN_BLOCKS - 1, 2 * TURN_BLOCKS - 1, 3 * TURN_BLOCKS - 1} <= set(seen)
 
 
-async def test_an_order_while_the_last_words_are_waited_for_is_told_afterwards(contact: Pass) -> None:
+async def test_an_order_while_the_last_words_are_waited_for_is_reported_afterwards(contact: Pass) -> None:
     """It cuts nothing short: what the tool may have touched is marked first."""
     contact.fake.robot.done = contact.fake.robot.until = 7
     task = asyncio.ensure_future(contact.whole())
@@ -239,9 +237,7 @@ async def test_an_order_while_the_last_words_are_waited_for_is_told_afterwards(c
 
 
 @pytest.mark.parametrize("gone", [False, True])
-async def test_contact_that_is_left_before_the_robot_was_told_to_run_has_touched_nothing(
-    contact: Pass, gone: bool
-) -> None:
+async def test_contact_that_is_left_before_the_robot_was_started_has_touched_nothing(contact: Pass, gone: bool) -> None:
     if gone:
         contact.fake.robot.acts.fails["progress"] = LinkError("gone")
     with pytest.raises(RobotLost):

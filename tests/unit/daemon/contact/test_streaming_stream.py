@@ -62,7 +62,7 @@ async def test_contact_is_what_lies_between_the_landing_points(fake: FakeCell) -
     assert fake.robot.done == 20
 
 
-async def test_the_robot_stands_at_each_landing_point_until_it_is_told(fake: FakeCell) -> None:
+async def test_the_robot_stands_at_each_landing_point_until_it_is_resumed(fake: FakeCell) -> None:
     async with streaming(small_plan(), fake.robot, fake.clock, 1.0, least_s=0.25) as stream:
         await stream.approach()
         assert (fake.robot.done, (await fake.robot.progress()).state) == (3, "held")
@@ -208,7 +208,7 @@ async def test_cancelled_amid_a_pass_nothing_more_is_sent(fake: FakeCell) -> Non
     assert len(fake.events) == count
 
 
-async def test_why_it_ends_is_told_before_the_block_has_ended(fake: FakeCell) -> None:
+async def test_why_it_ends_is_reported_before_the_block_has_ended(fake: FakeCell) -> None:
     """Contact is left inside the block, and takes its time."""
     order: list[str] = []
 

@@ -106,7 +106,7 @@ async def whole_cycle(
 # what a cycle leaves
 
 
-async def test_a_measurement_is_journalled_kept_and_told(job: Job, journal: Journal, tmp_path: Path) -> None:
+async def test_a_measurement_is_journalled_kept_and_reported(job: Job, journal: Journal, tmp_path: Path) -> None:
     raw = tmp_path / "scan.dat"
     raw.write_bytes(b"raw")
     surface = replace(small_map(), path=raw)
@@ -263,7 +263,7 @@ async def test_diverges_against_the_best_so_far(job: Job) -> None:
     assert job.decide(3, await measure(job, 3, 10.0 * DIVERGED_RATIO * 1.01)) == Diverge()
 
 
-async def test_a_pass_that_was_torn_off_is_nobodys_divergence(job: Job, journal: Journal) -> None:
+async def test_an_interrupted_pass_is_not_a_divergence(job: Job, journal: Journal) -> None:
     await measure(job, 0, 10.0)
     journal.begin_pass(0, "sha", "boot", 10)
     journal.end_pass(0, "interrupted")
@@ -327,7 +327,7 @@ async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     assert told.data["rate"] == pytest.approx(rate, rel=0.02)
 
 
-async def test_a_pass_that_was_cut_off_is_kept_for_people_with_what_nobody_knows(
+async def test_an_interrupted_pass_is_kept_for_people_with_what_is_unknown(
     job: Job, journal: Journal, tmp_path: Path
 ) -> None:
     plan = await planned(job, 0, await job.measured(0, small_map()))
@@ -401,7 +401,7 @@ async def test_restored_before_any_pass_keeps_the_masks(job: Job, tmp_path: Path
 # what is refused
 
 
-async def test_every_violation_is_told(tmp_path: Path, journal: Journal) -> None:
+async def test_every_violation_is_reported(tmp_path: Path, journal: Journal) -> None:
     job = small_job(tmp_path, journal, check_plan=lambda plan, envelope: ["too fast", "too far"])
     plan = await planned(job, 0, await job.measured(0, small_map()))
     with pytest.raises(PlanRefused, match="nothing moved:\n  too fast\n  too far"):
@@ -450,7 +450,7 @@ def test_a_valid_certificate(fine: dict[str, float]) -> None:
     require_certificate(replace(CERTIFICATE, **fine), small_recipe())
 
 
-def test_all_that_is_wrong_is_told() -> None:
+def test_all_that_is_wrong_is_reported() -> None:
     bad = replace(CERTIFICATE, kkt_residual=1.0, bound_violation_s=1.0)
     with pytest.raises(ComputeError, match=r"KKT residual .*; a bound is violated"):
         require_certificate(bad, small_recipe())

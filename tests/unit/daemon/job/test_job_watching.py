@@ -56,7 +56,7 @@ def test_a_job_that_goes_on_after_a_restart_is_watched_on(tmp_path: Path) -> Non
     assert passed(tmp_path, "a", 1.0, 0.6) == ["drift"]
 
 
-def test_what_a_person_was_told_of_a_pass_does_not_hold_the_cell_again(tmp_path: Path) -> None:
+def test_what_was_reported_of_a_pass_does_not_hold_the_cell_again(tmp_path: Path) -> None:
     assert passed(tmp_path, "a", 1.0, 1.0, 1.0, 0.6, ends=False) == ["drift"]
     with Journal.open(tmp_path, job="a", part_id="P", terms=TERMS) as journal:
         assert watch(journal, 3, shown(0.6), FindingLimits()) == ()

@@ -70,7 +70,7 @@ def test_passes_that_were_not_watched_are_passed_over_so_far_back_and_no_farther
         assert passes(tmp_path, f"b {number}", 1.0) == [expected]
 
 
-def test_a_job_of_which_nobody_wrote_down_the_process_is_followed_too(tmp_path: Path) -> None:
+def test_a_job_without_a_recorded_process_is_followed_too(tmp_path: Path) -> None:
     for job in "ab":
         with Journal.open(tmp_path, job=job, part_id="P") as journal:
             journal._known.terms = None
@@ -82,7 +82,7 @@ def test_a_job_of_which_nobody_wrote_down_the_process_is_followed_too(tmp_path: 
     assert found == 2
 
 
-def test_what_a_person_was_told_of_stays_told_beside_what_is_new(tmp_path: Path) -> None:
+def test_what_was_reported_stays_reported_beside_what_is_new(tmp_path: Path) -> None:
     assert passed(tmp_path, "a", 1.0, 1.0, 1.0, 0.6, ends=False) == ["drift"]
     with Journal.open(tmp_path, job="a", part_id="P", terms=TERMS) as journal:
         journal.add_facts(3, {"findings": [{"kind": "wear", "stops": "", "text": "reported"}]})

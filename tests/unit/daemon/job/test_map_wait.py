@@ -61,7 +61,7 @@ async def test_a_refusal_is_an_event_a_notification_and_in_the_status(bench: Ben
         )
 
 
-async def test_it_is_told_again_while_no_map_comes(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_it_is_reported_again_while_no_map_comes(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     assert map_wait.REMIND_S == 600
     monkeypatch.setattr(map_wait, "REMIND_S", 0.01)
     metrology = bench.fake.metrology

@@ -85,7 +85,7 @@ async def test_what_leads_to_motion_is_refused_until_the_cell_is_clear(bench: Be
         assert running.daemon.state == "polishing"
 
 
-async def test_a_signal_that_nobody_tells_is_not_clear(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_signal_without_a_value_is_not_clear(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(part_handling, "FIRST_VALUE_S", 0.0)
     bench.fake.with_monitor(CLEAR, clear=True)
     with pytest.raises(SignalFault, match="clear is not known"):

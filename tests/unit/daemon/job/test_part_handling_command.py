@@ -42,7 +42,7 @@ async def until_gone(folder: Path) -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_it_runs_in_its_folder_with_what_it_is_told(tmp_path: Path) -> None:
+async def test_it_runs_in_its_folder_with_its_environment(tmp_path: Path) -> None:
     code = "import os; open('said', 'w').write(os.environ['POLISHD_PART'] + ' ' + os.environ['PATH'])"
     await run_command("clean", python(code, tmp_path), {"POLISHD_PART": "P-1"})
     assert (tmp_path / "said").read_text() == f"P-1 {os.environ['PATH']}"

@@ -375,7 +375,7 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     assert ended(bench, "settle") == ["0 settle done", "1 settle done"]
 
 
-async def test_a_part_that_does_not_settle_is_told(bench: Bench) -> None:
+async def test_a_part_that_does_not_settle_is_reported(bench: Bench) -> None:
     bench.fake.metrology.measure = warming(bench, 9.0, 8.0, 7.0, 6.0)
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, max_maps=3, wait_s=60.0)))

@@ -93,7 +93,7 @@ def test_what_may_not_is_refused_with_place_and_both_values(
     assert last.endswith("Restore them, or set a new job.id")
 
 
-def test_all_that_differs_is_told_and_nothing_else(cell: Path) -> None:
+def test_all_that_differs_is_reported_and_nothing_else(cell: Path) -> None:
     begin(cell)
     change(cell, "part", {"edge_mm": 7.5})
     change(cell, "process", {"rpm": 900.0})

@@ -59,7 +59,7 @@ def test_what_counts_of_a_value_and_what_is_said_of_it(cell: Path, was: Any, now
     assert "".join(found).startswith(f"part.edge_mm: {said}" if said else "")
 
 
-def test_each_that_differs_is_told_once_in_their_order_also_where_one_side_has_none(cell: Path) -> None:  # noqa: F811
+def test_each_that_differs_is_reported_once_in_their_order_also_where_one_side_has_none(cell: Path) -> None:  # noqa: F811
     found = refusal(
         cell,
         {"process.rpm": 1.0, "part.a": 1, "dwell.cpu_limit_s": 1.0},
@@ -94,7 +94,7 @@ def test_the_first_rule_that_fits_holds(key: str, may: bool) -> None:
     assert may_change(key) is may
 
 
-def test_files_are_named_with_what_they_hold_and_one_that_is_gone_is_told(cell: Path) -> None:  # noqa: F811
+def test_files_are_named_with_what_they_hold_and_one_that_is_gone_is_reported(cell: Path) -> None:  # noqa: F811
     config = begin(cell)
     found = file_terms(config, ["instrument.profile", "part.form", "no.such.key"])
     assert list(found) == ["instrument.profile"], "of those that name one"

@@ -263,7 +263,7 @@ def test_a_stalled_disk_does_not_stall_the_recording(
     assert journal.executed(0).seq.size == 2000
 
 
-def test_a_disk_that_does_not_keep_up_is_told(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_does_not_keep_up_is_reported(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
     """What may go unrecorded in contact has an end: contact is left over it, and the rows are written all the same."""
     journal.begin_pass(0, "prog", "boot", 9)
     stalled, release = threading.Event(), threading.Event()
@@ -287,7 +287,7 @@ def test_a_disk_that_does_not_keep_up_is_told(journal: Journal, monkeypatch: pyt
     journal.require_in_time()
 
 
-def test_interrupted_pass_is_told_and_reconciled(tmp_path: Path) -> None:
+def test_interrupted_pass_is_reported_and_reconciled(tmp_path: Path) -> None:
     with opened(tmp_path) as journal:
         journal.begin_pass(0, "prog", "boot", 10, contact=(2, 9), reach_s=9.5)
         for seq in range(4):
@@ -616,7 +616,7 @@ def test_of_rows_that_are_written_together_none_stays_where_one_is_refused(tmp_p
     store.close()
 
 
-def test_a_copy_that_cannot_be_written_is_told_and_the_journal_goes_on(tmp_path: Path) -> None:
+def test_a_copy_that_cannot_be_written_is_reported_and_the_journal_goes_on(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("no folder")
     with Journal.open(tmp_path, job="job", part_id="P1") as journal:
         with pytest.raises(SafetyStop, match=r"run/journal.sqlite: the copy failed: "):

@@ -140,7 +140,7 @@ print("refused", refused)
 
 @pytest.mark.full
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace makes the I/O errors")
-def test_io_error_of_the_disk_is_told_and_never_forgotten(tmp_path: Path) -> None:
+def test_io_error_of_the_disk_is_reported_and_never_forgotten(tmp_path: Path) -> None:
     """After a failed fdatasync SQLite would accept the next insert although rows are lost."""
     trace = ["strace", "-f", "-qq", "-o", "/dev/null", "-e", "trace=fdatasync,fsync"]
     inject = ["-e", "inject=fdatasync,fsync:error=EIO:when=12"]

@@ -190,7 +190,9 @@ def test_a_damaged_row_is_named_with_what_to_do(left: Mapping[str, Path], tmp_pa
     )
 
 
-def test_a_damaged_event_may_be_deleted_by_the_command_that_is_told(left: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_damaged_event_may_be_deleted_by_the_command_that_is_reported(
+    left: Mapping[str, Path], tmp_path: Path
+) -> None:
     state = copied(left["closed"], tmp_path / "state")
     flipped_row(state, b'{"alarms": [1], "by": "me"}')
     with pytest.raises(JournalDamage, match=r'sqlite3 \S+journal\.sqlite "DELETE FROM event WHERE id = 2"\)'):

@@ -123,7 +123,7 @@ def test_a_copy_makes_the_folders_that_it_needs(store: Store, tmp_path: Path) ->
     assert (tmp_path / "run" / "of" / "copy.sqlite").is_file()
 
 
-def test_a_copy_that_sqlite_refuses_is_told_and_loses_nothing(
+def test_a_copy_that_sqlite_refuses_is_reported_and_loses_nothing(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuses(*_: object) -> None:
@@ -186,7 +186,7 @@ def lose(store: Store) -> None:
         store.write(BROKEN)
 
 
-def test_a_loss_is_told_by_everything_from_then_on(store: Store, tmp_path: Path) -> None:
+def test_a_loss_is_reported_by_everything_from_then_on(store: Store, tmp_path: Path) -> None:
     store.write(event(1))
     lose(store)
     for use in (
@@ -207,7 +207,9 @@ def test_a_loss_is_told_by_everything_from_then_on(store: Store, tmp_path: Path)
     assert not (tmp_path / "copy").exists()
 
 
-def test_what_waited_when_it_was_lost_is_told_by_the_loss_alone(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_waited_when_it_was_lost_is_reported_by_the_loss_alone(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = Clock()
     monkeypatch.setattr(journal_store, "time", clock)
     store.buffer(event(1))
@@ -248,7 +250,7 @@ async def test_all_who_wait_for_a_loss_hear_of_one_in_the_thread(store: Store) -
     assert store._waiters == [], "a cancelled waiter is removed"
 
 
-def test_a_loss_at_the_end_is_told_and_the_file_is_closed_all_the_same(store: Store) -> None:
+def test_a_loss_at_the_end_is_reported_and_the_file_is_closed_all_the_same(store: Store) -> None:
     store.buffer(BROKEN)
     with pytest.raises(SafetyStop, match="no such table"):
         store.close()

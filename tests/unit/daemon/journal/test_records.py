@@ -191,7 +191,7 @@ async def test_a_phase_that_is_not_gone_on_with_was_cancelled(journal: Journal) 
     assert told_phases(journal) == [(1, "solve", "cancelled", "GeneratorExit: ")]
 
 
-async def test_what_ended_a_phase_is_told_before_the_loss_of_the_journal(
+async def test_what_ended_a_phase_is_reported_before_the_loss_of_the_journal(
     journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def lost(*_: object) -> None:
@@ -265,7 +265,7 @@ def test_between_jobs_no_job_goes_on(tmp_path: Path) -> None:
         assert cell.of_job("a", "P1", {}).resumed
 
 
-def test_what_nobody_names_is_empty_and_arrays_lie_beside_the_journal(tmp_path: Path, journal: Journal) -> None:
+def test_unnamed_records_are_empty_and_arrays_lie_beside_the_journal(tmp_path: Path, journal: Journal) -> None:
     journal.record_map(0, "aa", "x", {})
     journal.begin_pass(0, "prog", "boot", 9)
     assert (journal.history[0].arrays, journal.passes[0].plan, journal.passes[0].start) == ("", "", "")

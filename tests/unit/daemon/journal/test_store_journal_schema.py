@@ -130,7 +130,7 @@ def test_what_the_disk_refuses_stays_where_it_is(path: Path, monkeypatch: pytest
     assert opened.closed()
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"the journal cannot be opened: .*\. Check cell.state_dir"):
         open_file(tmp_path / "no" / "journal.sqlite")
 

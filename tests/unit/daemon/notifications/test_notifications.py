@@ -189,7 +189,7 @@ async def test_a_broken_notifier_takes_nothing_down(site: Site, notified_by: Any
 
 
 @pytest.mark.full
-async def test_what_waits_for_a_notifier_that_is_gone_is_told(
+async def test_what_waits_for_a_notifier_that_is_gone_is_reported(
     site: Site, notified_by: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(_: Notification) -> None:
@@ -263,7 +263,7 @@ def sending(tmp_path: Path, people: People) -> Iterator[NotificationSender]:
     found.join(SOON_S)
 
 
-def test_one_that_fails_is_tried_again_and_told_once(
+def test_one_that_fails_is_tried_again_and_reported_once(
     sending: NotificationSender, people: People, notification: Notification, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sender, "FIRST_PAUSE_S", 0.01)
@@ -276,7 +276,7 @@ def test_one_that_fails_is_tried_again_and_told_once(
     assert [(one.error, one.waiting) for one in people.failures] == [("OSError: no answer", 1)]
 
 
-def test_what_is_less_severe_than_wanted_is_not_told(
+def test_what_is_less_severe_than_wanted_is_not_sent(
     tmp_path: Path, people: People, notification: Notification
 ) -> None:
     people.deaf = False
@@ -319,7 +319,7 @@ def test_the_end_is_no_second_chance(sending: NotificationSender, people: People
     assert not people.called.acquire(blocking=False)
 
 
-def test_one_that_never_comes_back_is_told_and_not_called_again_until_it_does(
+def test_one_that_never_comes_back_is_reported_and_not_called_again_until_it_does(
     tmp_path: Path, people: People, notification: Notification, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sender, "SEND_S", 0.05)
@@ -406,7 +406,7 @@ def test_what_is_given_up_is_in_the_log_with_all_its_words(
 # events
 
 
-async def test_two_broken_notifiers_tell_of_each_other_once(site: Site, people: People) -> None:
+async def test_two_broken_notifiers_report_each_other_once(site: Site, people: People) -> None:
     """A failed notifier does not report its failure; no endless chain of failures."""
     teller = Notifications(site.config, KNOWN)
     failed = threading.Semaphore(0)

@@ -74,7 +74,7 @@ def test_a_night_of_things_that_are_never_the_same_is_bounded_too() -> None:
     assert sum(one.times for one in sent) == 4320
 
 
-def test_another_thing_or_a_worse_one_is_told_at_once() -> None:
+def test_another_thing_or_a_worse_one_is_reported_at_once() -> None:
     outbox = NotificationQueue(HALF_HOUR_S)
     different = (
         notification(),
@@ -86,7 +86,7 @@ def test_another_thing_or_a_worse_one_is_told_at_once() -> None:
     assert len(flush(outbox, NOON_S)) == 4
 
 
-def test_without_a_time_each_is_told() -> None:
+def test_without_a_time_each_is_reported() -> None:
     outbox = NotificationQueue(0.0)
     for n in range(3):
         outbox.add(notification(id=str(n)), NOON_S)
@@ -153,7 +153,7 @@ def test_what_was_given_up_while_it_was_sent_is_over_all_the_same() -> None:
 
 
 @pytest.mark.parametrize("jump_s", [-365 * 86400.0, 365 * 86400.0])
-def test_a_clock_that_jumps_silences_nobody(jump_s: float) -> None:
+def test_a_clock_that_jumps_silences_no_notifier(jump_s: float) -> None:
     outbox = NotificationQueue(HALF_HOUR_S)
     outbox.add(notification(), NOON_S)
     due = outbox.due(NOON_S)

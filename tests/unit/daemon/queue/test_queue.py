@@ -88,7 +88,7 @@ def test_the_job_under_way_comes_first_and_is_not_moved(tmp_path: Path) -> None:
                 queue.move(wrong, "last")
 
 
-def test_a_job_under_way_that_nobody_goes_on_with_is_put_aside(tmp_path: Path) -> None:
+def test_a_job_under_way_that_is_not_continued_is_put_aside(tmp_path: Path) -> None:
     with Journal.of_cell(tmp_path) as journal:
         queue = Queue(journal.store)
         queue.add([job("a")])

@@ -196,7 +196,7 @@ def test_an_accepted_part_is_no_fault_whatever_was_before_but_a_worn_tool_stops_
     assert (worn.how, worn.stops) == ("accepted", "worn")
 
 
-def test_an_error_is_told_with_its_name_and_what_stops_by_its_row_says_that() -> None:
+def test_an_error_is_reported_with_its_name_and_what_stops_by_its_row_says_that() -> None:
     verdict = judge(RemovalCheckStop("flipped"), torn=False, previous="RemovalCheckStop", tool="worn")
     assert verdict is not None
     assert (verdict.reason, verdict.fault) == ("RemovalCheckStop: flipped", "RemovalCheckStop")

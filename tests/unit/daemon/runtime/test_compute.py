@@ -204,7 +204,7 @@ async def test_a_ready_worker_has_numpy(compute: Compute) -> None:
 
 
 @pytest.mark.full
-async def test_a_worker_that_cannot_start_is_told(
+async def test_a_worker_that_cannot_start_is_reported(
     compute: Compute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "sitecustomize.py").write_text("import os\nos._exit(7)\n")

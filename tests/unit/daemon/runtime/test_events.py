@@ -18,7 +18,7 @@ from polishd.model.errors import SafetyStop
 from polishd.model.events import Event, PassProgressed, PlanWritten
 
 
-async def test_all_are_told_in_order() -> None:
+async def test_all_listeners_are_called_in_order() -> None:
     plugins: list[Event] = []
     sink: list[Event] = []
     bus = EventBus(plugins.append, sinks=(sink.append,))
@@ -66,7 +66,7 @@ async def test_a_hanging_plugin_is_left_behind(caplog: pytest.LogCaptureFixture)
     await bus.close()
 
 
-async def test_a_raising_listener_is_logged_and_told_again(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_raising_listener_is_logged_and_called_again(caplog: pytest.LogCaptureFixture) -> None:
     received: list[int] = []
 
     def raises(event: Event) -> None:
@@ -81,7 +81,7 @@ async def test_a_raising_listener_is_logged_and_told_again(caplog: pytest.LogCap
     assert caplog.text.count("RuntimeError: oh") == 2
 
 
-async def test_a_lost_journal_is_heard_after_all_were_told() -> None:
+async def test_a_lost_journal_raises_after_all_listeners_were_called() -> None:
     def lost(event: Event) -> None:
         raise SafetyStop("journal lost")
 

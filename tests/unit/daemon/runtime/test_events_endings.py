@@ -115,7 +115,7 @@ async def test_a_map_that_is_late_again_holds_again(bench: Bench) -> None:
 
 
 @pytest.mark.full
-async def test_a_link_that_was_lost_is_opened_again_before_anybody_measures(bench: Bench) -> None:
+async def test_a_lost_link_is_opened_again_before_a_measurement(bench: Bench) -> None:
     """The spindle is gone when the pass should begin; it holds until the spindle is back."""
     spindle = bench.fake.spindle.acts
     bench.fake.metrology.acts.before["next_map"] = lambda: spindle.fails.update(
@@ -177,7 +177,7 @@ async def test_a_stop_in_the_moment_of_an_error_is_not_forgotten(bench: Bench) -
 @pytest.mark.parametrize(
     "error", [PlanRefused("vetoed"), ComputeError("no certificate"), SafetyStop("journal lost"), PolishdError("?")]
 )
-async def test_what_nobody_can_mend_meanwhile_ends(bench: Bench, error: PolishdError) -> None:
+async def test_an_error_without_a_remedy_ends_the_daemon(bench: Bench, error: PolishdError) -> None:
     bench.fake.metrology.measure = failing(bench, error)
     async with Running(bench) as running:
         with pytest.raises(type(error)):
@@ -369,7 +369,7 @@ def lose(journal: Journal) -> None:
         journal._store._connection.execute("PRAGMA query_only=ON")
 
 
-async def test_an_error_of_nobodys_is_told_too(site: Site) -> None:
+async def test_an_unexpected_error_is_reported_too(site: Site) -> None:
     def bug() -> SurfaceMap:
         raise RuntimeError("a bug")
 

@@ -105,7 +105,7 @@ def test_one_that_says_nothing_of_itself_is_refused_all_the_same(tmp_path: Path)
 
 
 @pytest.mark.parametrize("call", ["ftruncate", "pwrite"])
-def test_a_disk_that_takes_no_pid_is_told_and_nothing_stays_locked(
+def test_a_disk_that_takes_no_pid_is_reported_and_nothing_stays_locked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
     def full(*_: Any) -> None:
@@ -135,7 +135,7 @@ def test_the_place_that_is_wrong_is_named(tmp_path: Path) -> None:
         locked(tmp_path / "file" / "state").__enter__()
 
 
-def test_a_file_that_says_what_nobody_can_read_is_held_all_the_same(tmp_path: Path) -> None:
+def test_a_lock_file_with_unreadable_content_is_held_all_the_same(tmp_path: Path) -> None:
     (tmp_path / LOCK_NAME).write_bytes(b"\xff\xfe\n")
     handle = os.open(tmp_path / LOCK_NAME, os.O_RDWR)
     fcntl.flock(handle, fcntl.LOCK_EX)
@@ -159,7 +159,7 @@ def test_where_no_daemon_ever_ran(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "{", "3", '{"state": "held"}', '{"state": "idle", "reason": "", "x": 1}'])
-def test_a_word_that_nobody_can_read_says_so(tmp_path: Path, content: str) -> None:
+def test_an_unreadable_exit_record_says_so(tmp_path: Path, content: str) -> None:
     (tmp_path / RECORD_NAME).write_text(content)
     facts = last_ending(tmp_path)
     assert facts["state"] == "unknown"
@@ -191,7 +191,7 @@ def test_with_the_reason_why_it_was_held(tmp_path: Path) -> None:
     assert facts["next"] == next_action("killed", queue=False)
 
 
-def test_an_ending_is_told_as_it_was(tmp_path: Path) -> None:
+def test_an_ending_is_reported_as_it_was(tmp_path: Path) -> None:
     record_exit(tmp_path, {"state": "failed", "reason": "LinkError: gone", "exit": 5})
     facts = last_ending(tmp_path)
     assert (facts["state"], facts["reason"], facts["exit"]) == ("failed", "LinkError: gone", 5)
@@ -208,7 +208,7 @@ def test_the_end_itself_and_other_events_leave_it_as_it_is(tmp_path: Path) -> No
     assert (tmp_path / RECORD_NAME).read_bytes() == before
 
 
-def test_a_disk_that_takes_no_more_keeps_nobody_from_the_end_and_no_older_word_stays(
+def test_a_full_disk_does_not_prevent_the_end_and_no_older_record_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     record_exit(tmp_path, {"state": "held", "reason": "", "unsafe": []})
@@ -308,7 +308,7 @@ def test_words_for_people_name_their_own_cell() -> None:
 
 
 @pytest.mark.parametrize("state", ["idle", "changing", "held", "killed", "failed", "stopped", *Outcome])
-def test_whoever_finds_it_so_is_told_what_to_do(state: str) -> None:
+def test_each_state_comes_with_what_to_do(state: str) -> None:
     assert next_action(state, queue=False)
 
 

@@ -46,7 +46,7 @@ def test_the_same_is_the_same(site: Path) -> None:
     require_same(found, installed_now())
 
 
-def test_what_came_anew_disturbs_nobody(site: Path) -> None:
+def test_a_newer_installation_does_not_disturb(site: Path) -> None:
     before = {name: what for name, what in installed_now().items() if name != "gauge-plugin"}
     require_same(before, installed_now())
 

@@ -23,7 +23,7 @@ def caused() -> LinkError:
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread"), caused()])
-def test_missing_memory_is_told_before_what_follows_from_it(error: Exception) -> None:
+def test_missing_memory_is_reported_before_what_follows_from_it(error: Exception) -> None:
     memory.RESERVE.take()
     fault = root_cause(ExceptionGroup("", [SafetyStop("late"), ExceptionGroup("", [LinkError("gone"), error])]))
     assert isinstance(fault, HostFault)

@@ -87,11 +87,11 @@ async def test_the_watchdog_is_fed_only_while_all_is_written(systemd: Systemd) -
 
 
 @pytest.mark.parametrize("environment", [{}, {"WATCHDOG_USEC": "40000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "x"}])
-async def test_where_nobody_watches_nothing_is_fed(environment: dict[str, str]) -> None:
+async def test_without_a_supervisor_no_watchdog_is_fed(environment: dict[str, str]) -> None:
     await SystemdNotifier(1, environment).feed(lambda _: pytest.fail("called without a watchdog"))
 
 
-def test_a_supervisor_that_is_gone_is_logged_and_keeps_nobody(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_missing_supervisor_is_logged_and_does_not_block(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     SystemdNotifier(1, {"NOTIFY_SOCKET": str(tmp_path / "gone")}).stopping()
     assert "STOPPING=1 cannot be sent to the supervisor of this process" in caplog.text
 

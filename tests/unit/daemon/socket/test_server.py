@@ -187,12 +187,12 @@ async def test_an_order_is_given_time_to_be_obeyed(daemon: Path, monkeypatch: py
     assert (await asyncio.to_thread(request, daemon, "status"))["ok"]
 
 
-async def test_a_silent_daemon_is_told(daemon: Path) -> None:
+async def test_a_silent_daemon_is_reported(daemon: Path) -> None:
     with pytest.raises(LinkError, match=r"did not answer within 0\.05 s"):
         await ask(daemon, "stop", 0.05)
 
 
-async def test_subscribers_hear_events(daemon: Path, bus: EventBus) -> None:
+async def test_subscribers_receive_events(daemon: Path, bus: EventBus) -> None:
     heard = [asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon)))) for _ in range(2)]
     await until_subscribed(bus, 2)
     bus.publish(PassEnded(cycle=1, executed_s=2.5))
@@ -255,7 +255,7 @@ async def test_daemons_end_ends_sessions_and_removes_the_socket(
 
 
 @pytest.mark.parametrize("leftover", [False, True])
-def test_no_daemon_is_told(tmp_path: Path, leftover: bool) -> None:
+def test_no_daemon_is_reported(tmp_path: Path, leftover: bool) -> None:
     if leftover:
         with socket.socket(socket.AF_UNIX) as dead:
             dead.bind(str(tmp_path / "polishd.sock"))

@@ -69,7 +69,7 @@ def test_limits_that_are_none_and_objects_that_makers_leave_out(written: Callabl
     assert read_dictionary(written(empty.replace("DefaultValue=\nDefaultValue=0", "DefaultValue=")), 5)
 
 
-def test_what_is_missing_is_told_with_its_place(written: Callable[[str | bytes], Path]) -> None:
+def test_what_is_missing_is_reported_with_its_place(written: Callable[[str | bytes], Path]) -> None:
     path = written(TEXT.replace("[60FF]", "[5FFF]"))
     with pytest.raises(ConfigError, match=r"drive.eds: object 60FFh is missing"):
         read_dictionary(path, 5).require(read=[], write=[protocol.TARGET_VELOCITY])

@@ -140,7 +140,7 @@ async def test_a_drive_without_heartbeats_is_no_link(spin: Spin) -> None:
         await device.open()
 
 
-async def test_a_refused_write_is_told_with_its_reason_and_not_tried_again(spin: Spin) -> None:
+async def test_a_refused_write_is_reported_with_its_reason_and_not_tried_again(spin: Spin) -> None:
     device, drive, motor = spin
     await device.open()
     drive.node.objects[0x6080] = 100  # less than at open
@@ -222,7 +222,7 @@ async def test_a_fault_whose_emergency_was_lost_is_read_from_the_drive(spin: Spi
     assert (await device.status()).detail == "voltage (3210h)"
 
 
-async def test_a_warning_without_a_fault_is_told_and_kept(spin: Spin) -> None:
+async def test_a_warning_without_a_fault_is_reported_and_kept(spin: Spin) -> None:
     device, drive, _ = spin
     await device.open()
     await device.set_speed(500.0)
@@ -343,7 +343,7 @@ async def test_a_late_answer_is_not_taken_for_the_next_ones(spin: Spin) -> None:
     assert drive.node.power.state == stage.DISABLED
 
 
-async def test_only_what_somebody_reads_keeps_it_running(spin: Spin) -> None:
+async def test_only_readings_keep_it_running(spin: Spin) -> None:
     device, drive, motor = spin
     await device.open()
     at_open = drive.beats
@@ -439,7 +439,7 @@ async def test_who_presses_while_it_is_lifted_is_refused(tmp_path: Path) -> None
     await wire.close()
 
 
-async def test_silence_while_it_had_no_power_has_harmed_nobody(spin: Spin, press: Press) -> None:
+async def test_silence_while_it_had_no_power_is_harmless(spin: Spin, press: Press) -> None:
     device, drive, motor = spin
     await device.open()
     drive.node.fail(0x8130)  # as drives do that take any silence for a fault
@@ -551,7 +551,7 @@ def test_what_was_before_a_lift_is_forgotten() -> None:
     assert not contact.feed(0.2, 5.0)
 
 
-def test_a_tool_that_lands_slower_than_was_told_of_its_travel_has_not_landed_in_the_air() -> None:
+def test_a_tool_that_lands_slower_than_its_stated_travel_has_not_landed_in_the_air() -> None:
     """``travel_mm_s`` above the speed of landing is a slip of the config: the full force would slam it down."""
     contact = ContactDetector(rest_mm=0.1, end_mm=9.9, travel_mm_s=20.0)
     positions = way(speed_mm_s=5.0, touch_mm=5.0)

@@ -47,7 +47,7 @@ def test_what_we_send_is_the_vectors() -> None:
     assert Request(MODE, b"\x03").frame(5) == frame("write_mode_velocity")
 
 
-def test_what_we_hear_is_the_vectors() -> None:
+def test_received_frames_are_the_vectors() -> None:
     heard = {
         "heartbeat": NodeHeartbeat(NodeState.OPERATIONAL),
         "boot": NodeHeartbeat(NodeState.BOOT),

@@ -139,7 +139,7 @@ async def test_a_wrong_password_is_refused(rig: Rig, tmp_path: Path) -> None:
         await LinuxCnc(address, tmp_path, passwords=("EMC", "WRONG")).open()
 
 
-async def test_an_order_that_is_refused_is_told_and_the_link_lives(rig: Rig) -> None:
+async def test_an_order_that_is_refused_is_reported_and_the_link_lives(rig: Rig) -> None:
     rig.fake.refuses.add("open")
     with pytest.raises(DeviceRefused, match="set open"):
         await load(rig.robot)
@@ -220,7 +220,7 @@ async def test_a_link_that_is_opened_again_moves_nothing_and_follows_what_runs(r
     assert len(await executed(rig.robot)) == len(BLOCKS)
 
 
-async def test_a_stop_that_nobody_asked_for_is_passed(rig: Rig) -> None:
+async def test_an_unrequested_stop_is_passed(rig: Rig) -> None:
     await load(rig.robot, approach_blocks=8)
     await rig.robot.resume()
     found = await executed(rig.robot)
@@ -240,7 +240,7 @@ async def test_a_hold_at_such_a_stop_stays_a_hold(rig: Rig) -> None:
 
 @pytest.mark.parametrize("how", ["hold", "make_safe"])
 @pytest.mark.parametrize("approach_blocks", [0, 8])
-async def test_what_is_told_to_stay_while_it_is_being_started_stays(
+async def test_a_hold_during_the_start_holds(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, how: str, approach_blocks: int
 ) -> None:
     """By command, and past an unwanted stop: the hold overtakes the start, which is then dropped."""
@@ -351,7 +351,7 @@ async def test_a_line_too_long_for_linuxcnc_is_refused(rig: Rig) -> None:
         await rig.robot.send(plan.segments)
 
 
-async def test_a_program_of_somebody_else_is_not_disturbed(rig: Rig) -> None:
+async def test_a_foreign_program_is_not_disturbed(rig: Rig) -> None:
     rig.fake.lines, rig.fake.status, rig.fake.block_s = [b"G1 X1"] * 5, "RUNNING", 1e3
     await until(rig.robot, "running")
     with pytest.raises(DeviceRefused, match="running"):

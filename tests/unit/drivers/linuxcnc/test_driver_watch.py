@@ -158,7 +158,7 @@ def test_a_stop_right_after_a_start_at_the_controller_is_seen() -> None:
     assert (watch.state, watch.held_at, len(watch)) == ("held", 2, 2)
 
 
-def test_nothing_counts_before_it_is_told_to_run() -> None:
+def test_nothing_counts_before_it_is_started() -> None:
     watch = watch_of(3)
     watch.update(look(0.1, 3))
     assert (watch.state, len(watch)) == ("held", 0)

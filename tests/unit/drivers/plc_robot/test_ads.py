@@ -75,7 +75,7 @@ async def test_an_error_that_no_table_has_is_an_answer_that_cannot_be_read(
         await ads.close()
 
 
-async def test_nobody_there_and_nobody_answering_are_lost_links(tmp_path: Path) -> None:
+async def test_a_missing_and_a_silent_server_are_lost_links(tmp_path: Path) -> None:
     with pytest.raises(LinkError):
         await link().open()
     fake = FakePlc(tmp_path)

@@ -64,7 +64,7 @@ async def seen(condition: object) -> None:
         await asyncio.sleep(0.005)
 
 
-async def test_it_stands_at_the_landing_when_the_approach_is_told(rig: tuple[FakePlc, PlcRobot]) -> None:
+async def test_it_stands_at_the_landing_when_the_approach_is_reported(rig: tuple[FakePlc, PlcRobot]) -> None:
     """The dwells of the proof are over by then: a tool that landed earlier would dig in them."""
     fake, robot = rig
     program = plan()
@@ -146,7 +146,7 @@ async def test_a_controller_that_was_started_anew_is_noticed(rig: tuple[FakePlc,
         await robot.resume()
 
 
-async def test_an_emergency_stop_is_told_in_the_controllers_words(rig: tuple[FakePlc, PlcRobot]) -> None:
+async def test_an_emergency_stop_is_reported_in_the_controllers_words(rig: tuple[FakePlc, PlcRobot]) -> None:
     fake, robot = rig
     await in_contact(robot, plan())
     fake.plc.press("emergency stop", time.monotonic())

@@ -104,13 +104,13 @@ async def test_another_server_is_not_spoken_to(url: str, folder: Path) -> None:
 
 
 @pytest.mark.full
-async def test_the_wrong_password_is_told(url: str, folder: Path) -> None:
+async def test_the_wrong_password_is_reported(url: str, folder: Path) -> None:
     with pytest.raises(LinkError, match=r"cannot be opened with .*: User does not .*Denied"):
         await client(url, folder, password="wrong").open()
 
 
 @pytest.mark.full
-async def test_a_file_that_is_no_certificate_is_told(url: str, folder: Path) -> None:
+async def test_a_file_that_is_no_certificate_is_reported(url: str, folder: Path) -> None:
     (folder / "broken.pem").write_text("-----BEGIN CERTIFICATE-----")
     with pytest.raises(LinkError, match="cannot be opened"):
         await client(url, folder, theirs="broken").open()

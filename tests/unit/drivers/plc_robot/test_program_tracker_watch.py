@@ -89,7 +89,7 @@ def test_a_dwell_whose_end_no_report_shows_is_not_as_long_as_the_next_move_too()
     assert [watch[k].end_s for k in (1, 3)] == pytest.approx([0.4, 0.8], abs=2e-3)
 
 
-def test_when_it_came_to_run_is_taken_from_where_it_is_told() -> None:
+def test_the_start_time_is_taken_from_the_report() -> None:
     watch = watch_of(4, expected=[0.1] * 4)
     watch.update(report(0.1, 77, "ready"))
     watch.update(report(0.2, 1, state_began_s=0.13))
@@ -113,7 +113,7 @@ def test_when_a_stretch_began_is_settled_by_the_end_of_its_first_block() -> None
     st.floats(0.02, 0.15),
     st.integers(0, 2**31),
 )
-def test_every_block_is_told_once_and_within_two_reports(
+def test_every_block_is_reported_once_and_within_two_reports(
     true_s: list[float], off: float, report_s: float, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def test_it_stands_at_a_pause_of_the_file_once_two_reports_say_so() -> None:
         ({"override": 0.0}, "override is 0 %"),
     ],
 )
-def test_a_feed_hold_is_told_with_the_report_that_shows_it(seen: dict[str, object], why: str) -> None:
+def test_a_feed_hold_is_reported_with_the_report_that_shows_it(seen: dict[str, object], why: str) -> None:
     watch = watch_of(4)
     watch.update(report(0.1, 1))
     watch.update(report(0.2, 2, **seen))
@@ -195,7 +195,7 @@ def test_a_hold_that_was_asked_for_is_no_fault() -> None:
     assert (watch.state, watch.stopped) == ("held", "")
 
 
-def test_a_controller_that_does_not_start_is_told() -> None:
+def test_a_controller_that_does_not_start_is_reported() -> None:
     watch = watch_of(4)
     for step in range(START_REPORTS + 2):
         watch.update(report(0.2 * (step + 1), 1, "ready"))

@@ -132,7 +132,7 @@ async def test_over_a_fault_it_does_not_engage(rig: Rig) -> None:
     await rig.device.retract()
 
 
-async def test_a_value_that_only_some_answers_have_is_told(tmp_path: Path) -> None:
+async def test_a_value_that_only_some_answers_have_is_reported(tmp_path: Path) -> None:
     text = file_of("line_drive.toml").read_text().replace(r"(?P<fault>\d+)'", r"?(?P<fault>\d+)?'")
     profile = device_profile_of(text, Path("mine.toml"))
     peer = ProfiledPeer(file_of("line_drive.toml"), IdealDrive)
@@ -217,7 +217,7 @@ async def test_a_sensor_that_reads_a_force_after_its_tare_is_a_fault() -> None:
     await wire.close()
 
 
-async def test_a_conversion_that_was_told_before_is_none(tmp_path: Path) -> None:
+async def test_a_conversion_that_was_reported_before_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "counting.toml"
     path.write_text(file_of("laumas_tlb").read_text().replace("[registers.gross]", "[registers.count]"))
     peer = ProfiledPeer(path, lambda _sheet: Counting(lambda: 1.0, {}), tcp=True)

@@ -29,7 +29,7 @@ async def collect(
             when_seq_10()
 
 
-async def test_nobody_listens() -> None:
+async def test_no_server_listens() -> None:
     robot = RobotLink(Tcp("127.0.0.1", 9))
     with pytest.raises(LinkError):
         await robot.open()
@@ -149,7 +149,7 @@ async def test_a_restart_loses_the_program_and_says_so(pair: Pair) -> None:
     assert seen == []
 
 
-async def test_another_program_meanwhile_is_heard_from_its_beginning(pair: Pair) -> None:
+async def test_another_program_meanwhile_is_reported_from_its_beginning(pair: Pair) -> None:
     robot, fake = pair
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:60])

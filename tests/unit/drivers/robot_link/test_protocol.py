@@ -51,7 +51,7 @@ def test_what_we_send_is_the_vectors() -> None:
     assert encode(FrameType.HOLD) == protocol.command(FrameType.HOLD, {}) == VECTORS["HOLD"]
 
 
-def test_what_we_hear_is_the_vectors() -> None:
+def test_received_frames_are_the_vectors() -> None:
     reader = FrameReader()
     names = ("ACCEPTED", "EXECUTED", "RESEND", "NAK")
     accepted, executed, resend, nak = reader.feed(b"".join(VECTORS[name] for name in names))

@@ -150,7 +150,7 @@ async def test_sftp_takes_the_place_of_the_file_before(root: Path, tmp_path: Pat
 
 
 @pytest.mark.full
-async def test_sftp_refuses_a_host_that_nobody_knows(root: Path, tmp_path: Path) -> None:
+async def test_sftp_refuses_an_unknown_host(root: Path, tmp_path: Path) -> None:
     hosts, others = tmp_path / "known_hosts", tmp_path / "others"
     others.touch()
     async with sftp_server(root, hosts) as port:

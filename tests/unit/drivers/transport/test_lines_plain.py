@@ -71,7 +71,7 @@ async def test_it_says_hello_and_asks(link: Link) -> None:
     assert link.echo.asked == ["?", "a b", "12.5"]
 
 
-async def test_what_it_will_not_do_and_what_nobody_understands_are_told_apart(link: Link) -> None:
+async def test_refused_and_unknown_requests_are_distinguished(link: Link) -> None:
     await link.lines.open()
     with pytest.raises(DeviceRefused, match="NO way was refused"):
         await link.lines.ask("NO way")
@@ -119,7 +119,7 @@ async def test_silence_ends_the_link_until_it_is_opened(link: Link) -> None:
     assert await link.lines.ask("c") == "c"
 
 
-async def test_whoever_says_nothing_is_not_opened(link: Link) -> None:
+async def test_a_silent_device_is_not_opened(link: Link) -> None:
     link.lines = PlainLines(Tcp("127.0.0.1", link.wire.port), 0.05, hello="?")
     link.echo.silent = True
     with pytest.raises(LinkError, match=r"no answer to \?"):

@@ -118,7 +118,7 @@ async def test_a_peer_that_takes_nothing_is_dead(ends: Ends, monkeypatch: pytest
         await stream.write(bytes(1 << 24))
 
 
-async def test_nobody_there() -> None:
+async def test_no_peer_listens() -> None:
     with pytest.raises(LinkError, match=r"tcp://127\.0\.0\.1:9"):
         await open_stream(Tcp("127.0.0.1", 9))
     with pytest.raises(LinkError, match="serial:/nowhere/tty"):

@@ -106,7 +106,7 @@ FAULTS: dict[str, tuple[Callable[[UrController], object], str]] = {
 
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("fault", FAULTS)
-async def test_what_happens_at_the_controller_is_told_at_once_and_ends_with_a_robot_that_stands(
+async def test_events_at_the_controller_are_reported_at_once_and_end_with_a_robot_that_stands(
     rig: Rig, fault: str
 ) -> None:
     happens, said = FAULTS[fault]
@@ -124,7 +124,7 @@ async def test_what_happens_at_the_controller_is_told_at_once_and_ends_with_a_ro
     assert not rig.machine.arm.moves
 
 
-async def test_a_robot_slowed_down_goes_on_until_it_is_told_to_stop(rig: Rig) -> None:
+async def test_a_robot_slowed_down_goes_on_until_it_is_stopped(rig: Rig) -> None:
     """The tool is still on the part at this report: it must not stand still there."""
     await run(rig)
     rig.machine.slider = 0.5
@@ -300,7 +300,7 @@ async def test_a_robot_that_would_not_run_it_as_written_takes_no_program(
     assert rig.fake.scripts == []
 
 
-async def test_what_is_sent_moves_nothing_until_it_is_told_to(rig: Rig) -> None:
+async def test_what_is_sent_moves_nothing_until_it_is_started(rig: Rig) -> None:
     rig.machine.ints_in[25:29] = [1, 9999, 0, 0]
     await load(rig.robot)
     await asyncio.sleep(0.2)
@@ -310,7 +310,7 @@ async def test_what_is_sent_moves_nothing_until_it_is_told_to(rig: Rig) -> None:
 
 
 @pytest.mark.full
-async def test_a_program_of_somebody_else_that_is_paused_is_stopped_first(rig: Rig) -> None:
+async def test_a_paused_foreign_program_is_stopped_first(rig: Rig) -> None:
     """A script that comes while one is paused only stops that (as reported of the real one)."""
     rig.machine.load("def other():\n  sleep(9)\nend")
     rig.machine.pause()
@@ -320,7 +320,7 @@ async def test_a_program_of_somebody_else_that_is_paused_is_stopped_first(rig: R
     assert len(await executed(rig.robot)) == STEPS
 
 
-async def test_a_program_of_somebody_else_that_runs_is_left_alone_until_it_is_held(rig: Rig) -> None:
+async def test_a_running_foreign_program_is_left_alone_until_it_is_held(rig: Rig) -> None:
     rig.machine.load("def other():\n  movel(p[0.1, 0, 0.06, 3.14159, 0, 0], a=1, v=0.01)\nend")
     await asyncio.sleep(0.1)
     with pytest.raises(DeviceRefused, match="running"):

@@ -46,7 +46,7 @@ def test_each_line_that_acts_is_announced_and_none_is_changed() -> None:
     assert "P1 = p[0, 0, 0.06, 0, 3.14, 0]" in found
 
 
-def test_the_frame_of_the_file_and_routines_that_nobody_calls_are_left_out() -> None:
+def test_the_frame_of_the_file_and_uncalled_routines_are_left_out() -> None:
     found = lines(script())
     assert "movej_speed = 3" not in found
     assert not {"def polish():", "def old():", "polish()"} & set(found)

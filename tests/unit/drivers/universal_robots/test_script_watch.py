@@ -155,7 +155,7 @@ def test_a_program_that_was_stopped_is_a_fault_and_one_that_ends_is_none() -> No
     assert ended.state == "done"
 
 
-def test_a_pause_while_it_is_held_anyway_is_told_and_no_fault() -> None:
+def test_a_pause_while_it_is_held_anyway_is_reported_and_no_fault() -> None:
     found = watch()
     go(found, 0)
     feed(found, [at(1, 0, ScriptPhase.WAITS), at(2, 0, ScriptPhase.WAITS, runtime=UrRuntimeState.PAUSED)])
@@ -196,7 +196,7 @@ def unpacked(data: bytes) -> RtdeSample:
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 9), st.integers(0, 8 * WIRE.size - 1))
-def test_no_turned_bit_counts_a_block_that_nobody_ran(which: int, bit: int) -> None:
+def test_no_turned_bit_counts_a_block_that_did_not_run(which: int, bit: int) -> None:
     """TCP has a checksum of 16 bits; a number that comes through it wrong all the same is not believed alone."""
     truth = [at(tick + 1, tick // 2) for tick in range(10)]
     data = bytearray(packed(truth[which]))

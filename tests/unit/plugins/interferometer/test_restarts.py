@@ -238,7 +238,9 @@ async def test_waiting_does_not_mend_everything(tmp_path: Path, maps: Path, monk
     assert (maps / "a.dat").exists()
 
 
-def test_somebody_writes_on_while_it_is_claimed(tmp_path: Path, maps: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_writer_continues_while_the_file_is_claimed(
+    tmp_path: Path, maps: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = Path.rename
     daemon, path = Daemon(tmp_path, None), maps / "a.dat"
     path.write_bytes(dat(1))
@@ -397,7 +399,7 @@ LESS = MapStep("subtract", "0.1.0", {}, (MapInput("map", "a.dat", ""), MapInput(
         (stepped("convert", mask=["circle:0,0,3"]), None),
     ],
 )
-def test_what_somebody_made_by_hand_drives_nothing(
+def test_files_made_by_hand_have_no_effect(
     tmp_path: Path, maps: Path, ending: str, history: MapStep, why: str | None
 ) -> None:
     """An unproved scale or orientation stays marked in every written format."""

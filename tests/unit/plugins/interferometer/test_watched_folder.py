@@ -153,7 +153,7 @@ async def test_a_request_is_written_whole_and_withdrawn(make: Callable[..., Watc
     assert not reasons(folder)
 
 
-async def test_a_request_nobody_takes(make: Callable[..., WatchedFolder], folder: Path) -> None:
+async def test_a_request_without_an_answer(make: Callable[..., WatchedFolder], folder: Path) -> None:
     device = make(request_file="measure.request", timeout_s=0.1)
     with pytest.raises(SurfaceError) as caught:
         await device.next_map(None)

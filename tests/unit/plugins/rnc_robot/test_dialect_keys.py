@@ -133,7 +133,7 @@ def test_many_angles(pair: str) -> None:
     ("rotary", "words", "fits"),
     [("['CA']", "A5 B5", False), ("['CA']", "B5", False), ("[]", "A5", False), ("['CA', 'AB']", "A5 B5", True)],
 )
-def test_axes_in_an_order_that_nobody_said(shop: Shop, rotary: str, words: str, fits: bool) -> None:
+def test_axes_in_an_unspecified_order(shop: Shop, rotary: str, words: str, fits: bool) -> None:
     profile = shop(f"[axes]\nrotary = {rotary}")
     body = f"G0 {' '.join(word[0] + '0' for word in words.split())}\nG1 X1 {words} F60\n"
     if fits:

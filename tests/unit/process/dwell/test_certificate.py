@@ -48,7 +48,7 @@ def test_every_figure_by_hand() -> None:
     np.testing.assert_allclose(solution.residual_nm, [[0.0, 0.0]])
 
 
-def test_bound_violations_are_told() -> None:
+def test_bound_violations_are_reported() -> None:
     problem = two_samples((4.0, 8.0), lower=1.0)
     assert certify(problem, np.array([0.75, 3.0])).certificate.bound_violation_s == pytest.approx(0.25)
     assert certify(problem, np.array([1.0, 10.5])).certificate.bound_violation_s == pytest.approx(0.5)

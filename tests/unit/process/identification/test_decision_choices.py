@@ -103,7 +103,7 @@ def test_a_weak_removal_shows_nothing() -> None:
     assert result.extensions == frozenset()
 
 
-def test_a_single_number_is_told_or_not() -> None:
+def test_a_single_number_is_determined_or_not() -> None:
     parameters = initial_knowledge(usual_parameters()).parameters[:2]
     before = np.diag([0.09, 0.01])
     unseen = confounding_of(parameters, before, np.diag([0.08, 0.0001]))

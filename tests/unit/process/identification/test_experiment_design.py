@@ -57,7 +57,7 @@ def test_what_is_wanted_is_reached_and_not_much_more() -> None:
     assert short.sigma[short.at("rate")] > 0.01, "a step less on each track would not do"
 
 
-def test_an_offset_is_told_from_a_shift_by_leaning_both_ways() -> None:
+def test_an_offset_is_distinguished_from_a_shift_by_leaning_both_ways() -> None:
     seconds = chosen("offset shift", {"offset_x": 0.05, "offset_y": 0.05})
     assert seconds[LEANS == 0.0].sum() > 0
     assert seconds[LEANS > 0.0].sum() > 0
@@ -68,7 +68,7 @@ def test_an_offset_is_told_from_a_shift_by_leaning_both_ways() -> None:
     assert one.sigma[one.at("offset_x")] > 0.2, "however long with one lean"
 
 
-def test_a_gradient_is_told_by_places_that_are_apart() -> None:
+def test_a_gradient_is_determined_by_distant_places() -> None:
     seconds = chosen("field_2", {"rate": np.inf, "field_2": 0.01})
     assert seconds[PLACES[:, 0] < 0].sum() > 0
     assert seconds[PLACES[:, 0] > 0].sum() > 0

@@ -89,7 +89,7 @@ def test_a_rate_that_falls_between_the_passes_is_drift() -> None:
 
 
 @pytest.mark.parametrize("fade", [None, (-0.05, 0.2)])
-def test_a_fall_of_which_nobody_knows_where_it_was_says_so(fade: tuple[float, float] | None) -> None:
+def test_a_fade_without_a_known_place_says_so(fade: tuple[float, float] | None) -> None:
     (first, *_) = found([a_pass(rate=rate, fade=fade) for rate in (1.0, 1.0, 1.0, 0.7)])
     assert first.kind == "drift"
     assert "within the passes or between them: look at slurry" in first.what

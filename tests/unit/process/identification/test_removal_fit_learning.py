@@ -93,7 +93,7 @@ def test_units_and_pistons_cancel(seed: int, factor: float, piston: float) -> No
     assert same["explained"] == pytest.approx(once["explained"], rel=1e-6)
 
 
-def test_what_is_withheld_is_still_told() -> None:
+def test_what_is_withheld_is_still_reported() -> None:
     lesson = learned(PREDICTED, 0.8 * PREDICTED, tells_rate=False)
     assert lesson.beliefs == Estimates()
     assert lesson.found["measured_rate"] == pytest.approx(0.8)

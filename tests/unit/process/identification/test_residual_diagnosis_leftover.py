@@ -29,7 +29,7 @@ def noise(nm: float, seed: int = 2) -> FloatArray:
     return nm * np.random.default_rng(seed).standard_normal(GRID.shape)
 
 
-def test_each_is_told_from_all_others() -> None:
+def test_each_is_distinguished_from_all_others() -> None:
     """At once: a rate of 0.8, a shift, and what set-ups add; the errors say how well."""
     predicted = removal()
     moved = ndimage.shift(predicted, (-0.3, 0.4), order=3, mode="nearest")  # 0.4 mm right, 0.3 up
@@ -73,7 +73,7 @@ def test_two_maps_with_no_pass_between() -> None:
     assert abs(left.power_nm.value) < 0.05
 
 
-def test_where_power_is_alignment_none_is_told() -> None:
+def test_where_power_is_alignment_none_is_reported() -> None:
     left = fit_residual(removal() + 50.0 * POWER + 1.5 * TREFOIL + noise(0.2), MASK, 1.0, removal(), removal="power")
     assert left is not None
     assert left.power_nm.value == pytest.approx(0.0, abs=1e-9)

@@ -105,7 +105,7 @@ def test_what_settles_is_waited_for_and_a_mount_is_not() -> None:
     assert lasting.size == pytest.approx(5.0, abs=0.1), "each cause once, where it was largest"
 
 
-def test_what_the_tolerance_bears_holds_nobody_up() -> None:
+def test_a_cause_within_the_tolerance_does_not_stop() -> None:
     (mount,) = residual_diagnosis.diagnose_change(fit_residual(1.0 * TREFOIL + noise(0.05), MASK, 1.0))
     assert residual_diagnosis.limiting_change((mount,), 1.5) == (mount,)
     assert residual_diagnosis.limiting_change((mount,), 3.0) == ()

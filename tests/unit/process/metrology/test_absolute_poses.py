@@ -71,7 +71,7 @@ def test_shifts_alone_leave_astigmatism_and_power() -> None:
     assert {(one.n, one.m) for one in found.unknown} == {(2, 0), (2, 2), (2, -2)}
 
 
-def test_a_mixture_is_told_as_one() -> None:
+def test_a_mixture_is_reported_as_one() -> None:
     """One shift along x leaves any function of y: no single term wholly, many in part."""
     found = design_poses([PartPose(0), PartPose(0, 2.5)], 4, RADIUS_MM)
     shares = {one.share for one in found.unknown if one.n == 4}

@@ -155,7 +155,7 @@ def test_a_shift_of_the_wrong_sign_shows() -> None:
     assert found.noise_nm > 5 * found.rest_noise_nm
 
 
-def test_maps_that_cannot_be_told_apart_are_refused() -> None:
+def test_maps_that_cannot_be_distinguished_are_refused() -> None:
     given = maps(turns(2))
     with pytest.raises(MapError, match="one map does not tell"):
         separate_instrument(given[:1], [PartPose(0)], PITCH_MM)

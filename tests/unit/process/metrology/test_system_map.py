@@ -29,13 +29,13 @@ def test_it_comes_back_from_json(system: SystemMap) -> None:
     assert result.unknown[2, 0] == pytest.approx(1.0)
 
 
-def test_what_is_none_is_no_told(system: SystemMap) -> None:
+def test_a_damaged_absolute_test_record_is_refused(system: SystemMap) -> None:
     facts = system.result.facts()
     with pytest.raises(ValueError, match=r"shape|broadcast"):
         AbsoluteTestResult.load(facts | {"covariance": [1.0, 2.0]})
 
 
-def test_a_reference_tells_only_what_no_pose_told(system: SystemMap) -> None:
+def test_a_reference_determines_only_what_no_pose_does(system: SystemMap) -> None:
     known = system.result.with_reference((2, 0), 0.5)
     at = known.terms.index((2, 0))
     assert known.covariance[at, at] == pytest.approx(0.25)

@@ -123,7 +123,7 @@ def test_noise_is_not_counted_as_figure() -> None:
     assert true_rms_bound(flat, MASK, PITCH, errors(noise, {}, {})).bound < 0.8
 
 
-def test_power_that_nobody_saw_demands_a_reference() -> None:
+def test_unmeasured_power_demands_a_reference() -> None:
     given = CASES["5 nm of power"]
     _, measured = draw(0, *given)
     found = true_rms_bound(measured, MASK, PITCH, errors(*given), tolerance_nm=2.0)
@@ -153,7 +153,7 @@ def test_terms_of_the_instrument_add_in_squares() -> None:
     assert both.mean**2 - alone.mean**2 == pytest.approx(0.3**2 + 0.4**2, rel=0.35)
 
 
-def test_shorter_waves_that_no_pose_told_add_in_squares() -> None:
+def test_shorter_waves_that_no_pose_determines_add_in_squares() -> None:
     """1 nm of them: in the bound with and without power, and too much for a tolerance of 0.8 nm."""
     noise = MapNoise(0.1)
     _, measured = draw(3, noise, {}, {})
@@ -225,7 +225,7 @@ def test_any_figure_has_a_bound() -> None:
 
 
 @pytest.mark.full
-def test_what_the_poses_told_is_taken_from_them() -> None:
+def test_what_the_poses_determine_is_taken_from_them() -> None:
     poses = [*turns(4), PartPose(45)]
     found = separate_instrument(maps(poses), poses, PITCH_MM)
     given = errors_from_system_map(

@@ -144,7 +144,7 @@ def test_the_enclosing_circle() -> None:
         zernike.enclosing_circle(np.zeros((3, 3), dtype=bool))
 
 
-def test_what_cannot_be_told_apart_is_refused() -> None:
+def test_what_cannot_be_distinguished_is_refused() -> None:
     height = rough(GRID)
     line, ring = np.zeros(GRID.shape, dtype=bool), np.abs(GRID.radius_mm() - 50) < 0.4
     line[70, :] = True

@@ -44,7 +44,7 @@ def test_the_uncertainty_is_that_of_many_repetitions() -> None:
     assert found.std() == pytest.approx(np.sqrt(np.mean([fit.uncertainty**2 for fit in fits])), rel=0.1)
 
 
-def test_hertz_is_told_from_the_papers_linear_mode_over_the_papers_span() -> None:
+def test_hertz_is_distinguished_from_the_papers_linear_mode_over_the_papers_span() -> None:
     gamma = np.linspace(0.835, 0.913, 12)
     for exponent, other in ((1.5, 1.0), (1.0, 1.5)):
         fit = fit_exponent(gamma, noisy(exponent, 0.01, 4, gamma))

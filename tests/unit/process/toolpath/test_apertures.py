@@ -209,7 +209,7 @@ def test_points_lie_on_the_optic() -> None:
     np.testing.assert_allclose(on_optic(SPHERE, plane), [[3, 4, 100 - np.sqrt(1e4 - 25)]])
 
 
-def test_so_many_points_nobody_wants() -> None:
+def test_too_many_points_are_refused() -> None:
     with pytest.raises(ComputeError, match="the number of points is 1e\\+08"):
         along_polyline(FLAT, np.array([[0.0, 0.0], [100.0, 0.0]]), 1e-6)
     with pytest.raises(ComputeError, match="the number of points is nan"):

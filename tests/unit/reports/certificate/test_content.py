@@ -57,7 +57,7 @@ def test_a_whole_run_in_tolerance(whole_content: Content) -> None:
     assert whole_content.versions["polished by polishd"] == "0.1.0"
 
 
-def test_a_surface_has_one_figure_wherever_it_is_told(whole_drawn: CertificateDraft) -> None:
+def test_a_surface_has_one_figure_wherever_it_is_reported(whole_drawn: CertificateDraft) -> None:
     content = whole_drawn.content
     for surface, measured, found in (
         (content.before, content.measurements[0], whole_drawn.before),
@@ -253,7 +253,7 @@ def test_files_are_named_with_their_hashes(whole_content: Content, whole_files: 
     assert hashes["cycle-01/program.rnc"] == whole_content.passes[1].planned.program_sha256
 
 
-def test_what_is_known_of_the_instrument_is_told(whole_content: Content) -> None:
+def test_what_is_known_of_the_instrument_is_reported(whole_content: Content) -> None:
     assert whole_content.instrument.commissioned is not None
     assert whole_content.instrument.commissioned.artefact == "three bumps"
     statements = " ".join(whole_content.uncertainty.statements)
@@ -312,7 +312,7 @@ def test_the_form_wanted_is_known_by_its_hash(tmp_path: Path) -> None:
     assert drawn(run).content.after is None, "another form"
 
 
-def test_no_folder_of_the_shop_is_told(whole_content: Content, whole_files: DemoFiles) -> None:
+def test_no_folder_of_the_shop_is_reported(whole_content: Content, whole_files: DemoFiles) -> None:
     assert str(whole_files.out) not in whole_content.model_dump_json()
     assert whole_content.journal.events[0].data["run_dir"] == "run"
 

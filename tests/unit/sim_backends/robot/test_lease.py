@@ -200,7 +200,7 @@ def test_a_lost_accepted_is_sent_again_on_a_ping() -> None:
     assert kinds(got) == [f.ACCEPTED, f.STATUS]
 
 
-def test_everybody_hears_at_once_that_the_program_changed() -> None:
+def test_all_clients_learn_at_once_that_the_program_changed() -> None:
     bench = Bench()
     writer, _ = bench.client()
     _, got = bench.client("reader")

@@ -112,7 +112,7 @@ def test_guessing_one_users_token_locks_that_user_out_and_no_other(web: Served) 
     assert codes(web, web.tokens[Role.ENGINEER], web.tokens[Role.WATCH]) == [200, 200]
 
 
-def test_guessing_anybodys_token_uses_up_the_budget_of_the_address(web: Served) -> None:
+def test_guessing_a_token_uses_up_the_budget_of_the_address(web: Served) -> None:
     assert codes(web, web.tokens[Role.WATCH]) == [200]
     guesses = [f"guess{k}" for k in range(BUDGET + 2)]
     assert codes(web, *guesses) == [401] * BUDGET + [429] * 2
@@ -120,7 +120,7 @@ def test_guessing_anybodys_token_uses_up_the_budget_of_the_address(web: Served) 
     assert codes(web, web.tokens[Role.WATCH]) == [200]  # who has
 
 
-def test_a_program_with_a_stale_token_every_five_seconds_locks_nobody_else_out(
+def test_a_program_with_a_stale_token_every_five_seconds_locks_no_other_client_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [0.0]

@@ -166,6 +166,6 @@ def test_a_last_number_that_begins_no_data_is_torn(tmp_path: Path) -> None:
             found(tmp_path, whole[:-cut])
 
 
-def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path) -> None:
+def test_an_undeclared_marker_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="marker of missing data"):
         found(tmp_path, make.codev(words="SUR WVL 0.6328 SSZ 65536", nda=-32768))

@@ -50,7 +50,7 @@ def test_nothing_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("hours", [-11, 0, 13])
-def test_a_librarys_today_midnight_and_future_are_nobodys(hours: int) -> None:
+def test_a_librarys_today_midnight_and_future_are_no_measurement_times(hours: int) -> None:
     now = datetime(2026, 11, 22, 20, 5, tzinfo=timezone(timedelta(hours=hours)))
     filled_in = (datetime(2026, 11, 22, 2, 15, 18), now.astimezone(UTC), datetime(2018, 2, 15), datetime(2027, 5, 1, 9))  # noqa: DTZ001
     for at in filled_in:

@@ -304,7 +304,7 @@ def test_trailing_bytes_change_nothing(tmp_path: Path) -> None:
     same(found(tmp_path, make.datx() + b"junk" * 50))
 
 
-def test_the_two_hdf5_formats_are_told_apart(tmp_path: Path) -> None:
+def test_the_two_hdf5_formats_are_distinguished(tmp_path: Path) -> None:
     for name, content, is_datx in (("a.h5", make.datx(), True), ("b.datx", make.fourd(), False)):
         path = tmp_path / name
         path.write_bytes(content)
@@ -335,7 +335,7 @@ def test_written_files_are_read_by_prysm(tmp_path: Path) -> None:
     np.testing.assert_allclose(prysm.read_zygo_datx(path)["phase"], make.HEIGHT_NM, rtol=1e-12)
 
 
-def test_what_nobody_said_is_not_written(tmp_path: Path) -> None:
+def test_unstated_values_are_not_written(tmp_path: Path) -> None:
     assert DATX.write is not None
     surface = found(tmp_path, make.datx(change=unit("Furlongs")))
     with pytest.raises(MapError, match="unit"):

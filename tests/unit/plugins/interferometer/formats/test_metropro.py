@@ -98,7 +98,7 @@ def test_without_pitch_and_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("word", ["unit", "surface", "orientation", "square pixels"])
-def test_what_nobody_said_is_not_written(word: str) -> None:
+def test_unstated_values_are_not_written(word: str) -> None:
     with pytest.raises(MapError, match=word.removesuffix(" pixels")):
         write(replace(SURFACE, unsaid=frozenset({word})))
 

@@ -175,6 +175,6 @@ def test_a_list_that_ends_inside_a_line_is_read_with_a_warning(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("marker", ["-9999", "32767", "99999.0"])
-def test_a_marker_that_nobody_declared_is_refused(tmp_path: Path, marker: str) -> None:
+def test_an_undeclared_marker_is_refused(tmp_path: Path, marker: str) -> None:
     with pytest.raises(MapError, match="marker of missing data"):
         points.read(put(tmp_path, points_file(missing=marker)))

@@ -166,7 +166,7 @@ def test_what_ends_the_daemon_does_not_make_a_bad_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_it_ends_when_nobody_is_left_to_read_for(tmp_path: Path) -> None:
+def test_it_ends_when_no_caller_is_left(tmp_path: Path) -> None:
     (tmp_path / "map.bin").write_text("map")
     script = (
         "import os; from pathlib import Path; from polishd.plugins.interferometer.formats import sandbox as apart\n"
@@ -218,7 +218,7 @@ def test_an_interrupted_read_is_not_the_next_ones_answer(tmp_path: Path, monkeyp
 
 
 @pytest.mark.full
-def test_nobody_waits_for_another_ones_file(tmp_path: Path) -> None:
+def test_no_reader_waits_for_the_file_of_another(tmp_path: Path) -> None:
     """Two cells in one process: a file of the one hangs, and the other's is read meanwhile; then both are served."""
     hung = tmp_path / "hung.bin"
     os.mkfifo(hung)

@@ -94,7 +94,7 @@ def test_what_others_stumble_over_is_not_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unsaid", [{"unit"}, {"surface"}, {"orientation"}])
-def test_what_nobody_knows_is_not_written(unsaid: set[str]) -> None:
+def test_unknown_values_are_not_written(unsaid: set[str]) -> None:
     with pytest.raises(MapError, match=unsaid.copy().pop()):
         x3p.write(SurfaceMap(heights_nm(), PITCH_MM, unsaid=frozenset(unsaid)))
 
