@@ -121,7 +121,7 @@ def _does_nothing(statement: ast.stmt) -> bool:
 
 
 def no_stray_tasks(root: Path) -> list[str]:
-    """Tasks are born in a TaskGroup only: nobody waits for a bare one, and nobody hears its error.
+    """Tasks are created in a TaskGroup only: no caller awaits a bare task or receives its error.
 
     What must outlive the cancellation of its caller cannot be in a group: a task that its maker awaits in
     ``asyncio.shield`` is waited for, and allowed.

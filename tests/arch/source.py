@@ -95,7 +95,7 @@ def public(node: ast.AST, inside: str = "") -> Iterator[tuple[Documented, str]]:
     if isinstance(node, Documented):
         yield node, inside
     if isinstance(node, Function):
-        return  # what is inside a function is nobody's interface
+        return  # what is inside a function is not an interface
     for child in ast.iter_child_nodes(node):
         name = getattr(child, "name", "")
         if isinstance(child, ast.If | ast.Try):

@@ -44,8 +44,12 @@ def test_the_first_case_stays() -> None:
 
 def test_the_first_of_each_kind_stays() -> None:
     one = pytest.mark.one_of_each("case.dialect", "after")
-    told = [("rs274", 1), ("rs274", 1), ("rs274", 2), ("fanuc", 1), ("fanuc", 1)]
-    assert kept(*(Case("a", one, case=SimpleNamespace(dialect=name), after=after) for name, after in told)) == [0, 2, 3]
+    cases = [("rs274", 1), ("rs274", 1), ("rs274", 2), ("fanuc", 1), ("fanuc", 1)]
+    assert kept(*(Case("a", one, case=SimpleNamespace(dialect=name), after=after) for name, after in cases)) == [
+        0,
+        2,
+        3,
+    ]
 
 
 def test_a_case_of_the_long_campaigns_is_not_the_one() -> None:

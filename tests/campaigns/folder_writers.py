@@ -1,4 +1,4 @@
-"""The ways in which a file comes into a folder. Each yields (seconds to wait, what to do)."""
+"""Ways to write a file into a folder. Each yields (seconds to wait, next action)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from tests.campaigns.folder_world import Step, World
 Way = Callable[[World, Path, bytes], Iterator[Step]]
 
 NOT_SEEN_BYTES = 16
-"""Of a preallocated ``.dat``: fewer zeros at its end may be heights."""
+"""Number of zeros at the end of a preallocated ``.dat``; fewer may be heights."""
 
 
 def pause(world: World, most_s: float = 4.0) -> float:
-    """Often short, sometimes longer than a file must rest."""
+    """Return a pause: often short, sometimes longer than a file must be unchanged."""
     return float(min(world.rng.exponential(0.4), most_s))
 
 
 def slow(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """In chunks."""
+    """Write in chunks."""
     step = -(-len(data) // world.integer(1, 6))
     yield pause(world), partial(world.put, path, b"")
     for start in range(0, len(data), step):
@@ -29,7 +29,7 @@ def slow(world: World, path: Path, data: bytes) -> Iterator[Step]:
 
 
 def preallocated(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """Its full length at once, all zeros, then filled."""
+    """Write zeros of the full length first, then the content."""
     step = -(-len(data) // world.integer(1, 6))
     yield pause(world), partial(world.put, path, bytes(len(data)))
     for start in range(0, len(data), step):
@@ -37,14 +37,14 @@ def preallocated(world: World, path: Path, data: bytes) -> Iterator[Step]:
 
 
 def reopened(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """Closed half way, and appended to later."""
+    """Close the file half way and append the rest later."""
     cut = world.integer(1, len(data))
     yield pause(world), partial(world.put, path, data[:cut])
     yield float(world.rng.uniform(0.0, 8.0)), partial(world.put, path, data[cut:], "ab")
 
 
 def renamed(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """Under another name, and renamed when it is whole."""
+    """Write under another name and rename when complete."""
     names = (path.name + ".part", path.name + ".tmp", f".{path.name}.x7")
     temporary = path.with_name(names[world.integer(0, 3)])
     yield from slow(world, temporary, data)
@@ -52,7 +52,7 @@ def renamed(world: World, path: Path, data: bytes) -> Iterator[Step]:
 
 
 def over_another(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """A torn file of that name is there already and is written over, in place or by a rename."""
+    """Overwrite an incomplete file of that name, in place or by a rename."""
     yield pause(world), partial(world.put, path, data[: world.integer(0, len(data))])
     if world.rng.random() < 0.5:
         yield pause(world), partial(world.put, path, data)
@@ -63,7 +63,7 @@ def over_another(world: World, path: Path, data: bytes) -> Iterator[Step]:
 
 
 def retried(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """The first copy is killed, or the disk fills up: it stays torn for ever. The second has another name."""
+    """Leave the first copy incomplete (killed, or disk full) and write a second one under another name."""
     cut = world.integer(0, len(data) - NOT_SEEN_BYTES)
     rest = bytes(len(data) - cut) if world.rng.random() < 0.5 else b""
     yield pause(world), partial(world.put, path.with_name(f"torn-{path.name}"), data[:cut] + rest)
@@ -71,7 +71,7 @@ def retried(world: World, path: Path, data: bytes) -> Iterator[Step]:
 
 
 def twice(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """And a copy of it under another name."""
+    """Write the file, and a copy of it under another name."""
     yield from slow(world, path, data)
     yield pause(world), partial(world.put, path.with_name(f"copy of {path.name.replace('.', '-', 1)}"), data)
 
@@ -80,7 +80,7 @@ GOOD: tuple[Way, ...] = (slow, preallocated, reopened, renamed, over_another, re
 
 
 def torn(world: World, path: Path, data: bytes) -> Iterator[Step]:
-    """Killed mid-copy."""
+    """Stop in the middle of a copy."""
     cut = world.integer(0, len(data) - NOT_SEEN_BYTES)
     rest = bytes(len(data) - cut) if world.rng.random() < 0.5 else b""
     yield pause(world), partial(world.put, path, data[:cut] + rest)

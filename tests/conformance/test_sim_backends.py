@@ -99,11 +99,11 @@ AT_REST = {
     "actuator": ("engage", {"retracted", "boot", "lost"}),
     "spindle": ("spindle_ramping", {"spindle_stopped", "boot", "lost"}),
 }
-"""Device: the event that ends its rest, and those that begin it."""
+"""By device: the event that ends its rest, and those that begin it."""
 
 
 UNCOUNTED = {"profiles", "universal_robots", "abb_rws", "fanuc_rmi", "yaskawa_hses"}
-"""Their devices do not tell one power-up from another."""
+"""Cells whose devices do not distinguish one power-up from another."""
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ class _Lines:
 
 
 def _number(value: float, rng: Random, point: bool) -> str:
-    """The value as somebody may write it."""
+    """Return the value in one of the possible notations."""
     text = f"{value:.{rng.randrange(5)}f}"
     if "." not in text:
         text += "." if point or rng.random() < 0.2 else ""
@@ -270,7 +270,7 @@ def _language_point(language: Language, rng: Random, number: int, wordy: float) 
 
 
 def _seconds(value: float, rng: Random) -> str:
-    """As somebody may write a dwell."""
+    """Return a dwell in one of the possible notations."""
     text = f"{value:.{rng.choice([0, 1, 2, 2, 3])}f}"
     return text.removeprefix("0") if text.startswith("0.") and rng.random() < 0.5 else text
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.interop.page import Tried, page, told
+from tests.interop.page import Tried, page, sentence_of
 from tests.interop.peers import ROOT, Peer
 
 PAGE = ROOT / "docs" / "reference" / "interop.md"
@@ -28,7 +28,7 @@ class Outcomes:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """A test counts once: as failed wherever it failed."""
         module, _, name = report.nodeid.partition("::")
-        tried, sentence = self.by_module.get(module), told(name)
+        tried, sentence = self.by_module.get(module), sentence_of(name)
         if tried is None:
             return
         if report.failed and sentence not in tried.failed:

@@ -80,7 +80,7 @@ def wire(cell: Cell, name: str) -> Tcp | SerialLine:
 
 
 def free_port() -> int:
-    """On loopback, for a server that does not tell which it got."""
+    """Return a free port on loopback, for a server that does not report its port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -28,7 +28,7 @@ class Hal:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
         self.sent = ""
-        """Requests of a master that tells them, as libmodbus does: ``[01][06]...``; they come amid all else."""
+        """Requests of a master that prints them, as libmodbus does: ``[01][06]...``, between other output."""
 
     def say(self, command: str) -> list[str]:
         """What it prints for a command."""

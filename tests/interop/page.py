@@ -69,7 +69,7 @@ def _row(one: Tried) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def told(name: str) -> str:
+def sentence_of(name: str) -> str:
     """A test's name as a sentence: without its prefix, its case behind a colon."""
     plain, _, case = name.removeprefix("test_").partition("[")
     return plain.replace("_", " ") + (f": {case.rstrip(']')}" if case else "")

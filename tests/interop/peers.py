@@ -47,7 +47,7 @@ LINKS = (
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A program or a library of others. A test's module says as ``PEER`` whom it is with."""
+    """Program or library of another author. Each test module names its peer as ``PEER``."""
 
     name: str
     link: str

@@ -40,7 +40,7 @@ kind = "socketcand"
 
 
 class Hub(asyncio.Protocol):
-    """One client of a socketcand server; what it sends is heard by all others."""
+    """Client of a socketcand server; all others receive what it sends."""
 
     clients: set[Hub]
 

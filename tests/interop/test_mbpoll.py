@@ -25,8 +25,8 @@ class Mbpoll:
     address: Tcp | SerialLine
 
     def read(self, table: d.Table, address: int, count: int) -> list[int]:
-        told = self._run(table, address, "-c", str(count))
-        return [int(value) & 0xFFFF for value in re.findall(r"^\[\d+\]:\s+(\d+)", told, re.MULTILINE)]
+        output = self._run(table, address, "-c", str(count))
+        return [int(value) & 0xFFFF for value in re.findall(r"^\[\d+\]:\s+(\d+)", output, re.MULTILINE)]
 
     def write(self, table: d.Table, address: int, values: list[int]) -> None:
         self._run(table, address, values=list(map(str, values)))
@@ -40,12 +40,12 @@ class Mbpoll:
         wanted = ["-0", "-1", "-a", "1", "-o", "10", "-r", str(address), "-t", TABLES[table], *options]
         command = ["mbpoll", *wanted, *where, *(values or [])]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        told = done.stdout + done.stderr
+        output = done.stdout + done.stderr
         for words, code in SAID.items():
-            if words in told:
+            if words in output:
                 raise d.Refused(code)
-        assert done.returncode == 0, told
-        return told
+        assert done.returncode == 0, output
+        return output
 
 
 def test_it_works_our_voice_coil_over_tcp(devices: Cell) -> None:

@@ -44,7 +44,7 @@ class Master:
 
     @contextmanager
     def _refused(self) -> Iterator[None]:
-        """It tells the exceptions 2 and 3 apart by their words alone."""
+        """Raise Refused with the exception code: the library distinguishes 2 and 3 by their text only."""
         import minimalmodbus
 
         try:

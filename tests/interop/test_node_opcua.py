@@ -64,10 +64,17 @@ async def test_its_server_answers_our_driver(server: Program) -> None:
     ours = link(server)
     await ours.open()
     try:
-        told = {"line": 70_000, "state": 3, "clock": -12.625, "in_motion": True, "alarm_text": "Düse", "session": "a"}
-        server.ask(set=told)
+        values_set = {
+            "line": 70_000,
+            "state": 3,
+            "clock": -12.625,
+            "in_motion": True,
+            "alarm_text": "Düse",
+            "session": "a",
+        }
+        server.ask(set=values_set)
         values = (await ours.read()).values
-        assert {name: values[name] for name in told} == told
+        assert {name: values[name] for name in values_set} == values_set
         await ours.write({"hold": False, "start": True, "program": "a.nc", "heartbeat": 7})
         assert server.ask(get=["hold", "start", "program", "heartbeat"]) == [False, True, "a.nc", 7]
         identity = await ours.identify()
@@ -151,8 +158,13 @@ def _it_reads_jobs_and_results(read: Callable[..., Any]) -> None:
     _, answers = read("JobManagement", "JobOrderResults", "JobOrderResponseList")
     assert [one["jobResponseID"] for one in answers] == ["lens.1", "mirror.2", "flat.3", "wedge.4"]
     status, result = read("ResultManagement", "Results", "Result02")
-    told = result["resultMetaData"]
-    assert (status, told["resultId"], told["partId"], told["resultEvaluation"]) == ("Good", "mirror.2", "A-2", NOT_OK)
+    values_set = result["resultMetaData"]
+    assert (status, values_set["resultId"], values_set["partId"], values_set["resultEvaluation"]) == (
+        "Good",
+        "mirror.2",
+        "A-2",
+        NOT_OK,
+    )
     assert read("ResultManagement", "Results", "Result02", "ResultMetaData", "ResultId") == ["Good", "mirror.2"]
 
 

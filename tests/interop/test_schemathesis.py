@@ -18,7 +18,7 @@ pytestmark = PEER.needed
 
 PROGRAM = BUILT / "venv" / "bin" / "schemathesis"
 NOT_ASKED = ("/api/events", "/api/session")
-"""A stream that never ends; and the place where tokens are guessed, which locks whoever does out."""
+"""Excluded paths: a stream that never ends, and the login, which locks out clients that guess tokens."""
 OPTIONS = (
     "--phases=examples,coverage,fuzzing", "--max-examples=60", "--mode=all", "--generation-deterministic", "--no-color",
     "--rate-limit=45/s",

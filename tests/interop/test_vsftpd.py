@@ -58,7 +58,7 @@ def server(folder: Path) -> Iterator[int]:
 
 
 def greets(port: int, word: bytes) -> bool:
-    """Whoever listens there does, with that."""
+    """Return whether a server on that port greets with that word."""
     try:
         with socket.create_connection(("127.0.0.1", port), timeout=10.0) as connection:
             return connection.recv(3) == word

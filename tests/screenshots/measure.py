@@ -63,13 +63,13 @@ def paint() -> None:
                 say(f"{dict(found['paint'])} ms; dashboard complete after {whole_ms} ms, {found['bytes']} bytes")
 
 
-def _watch(url: str, token: str, ended: threading.Event, heard: list[int], number: int) -> None:
+def _watch(url: str, token: str, ended: threading.Event, received: list[int], number: int) -> None:
     """Read the stream as a page does, and the overview every five seconds."""
     headers = {"Authorization": f"Bearer {token}"}
     with urllib.request.urlopen(urllib.request.Request(f"{url}api/events", headers=headers)) as stream:
         next_s = time.monotonic() + OVERVIEW_S * number / WATCHERS
         while not ended.is_set() and (line := stream.readline()):
-            heard[number] += line.startswith(b"event: state")
+            received[number] += line.startswith(b"event: state")
             if time.monotonic() > next_s and not ended.is_set():
                 next_s += OVERVIEW_S
                 urllib.request.urlopen(urllib.request.Request(f"{url}api/overview", headers=headers)).read()
@@ -88,17 +88,17 @@ def watchers(count: int) -> None:
         tokens = [users.add(f"user-{k}", Role.WATCH) for k in range(max(count // 10, 1))]
         with answering(config.state_dir) as daemon, web_process(files) as (url, process):
             daemon.live |= live()
-            ended, heard = threading.Event(), [0] * count
-            work = [(url, tokens[k % len(tokens)], ended, heard, k) for k in range(count)]
+            ended, received = threading.Event(), [0] * count
+            work = [(url, tokens[k % len(tokens)], ended, received, k) for k in range(count)]
             threads = [threading.Thread(target=_watch, args=args, daemon=True) for args in work]
             for thread in threads:
                 thread.start()
             time.sleep(3)
-            used_s, looks, states, began_s = process_cpu_s(process.pid), daemon.looks, sum(heard), time.monotonic()
+            used_s, looks, states, began_s = process_cpu_s(process.pid), daemon.looks, sum(received), time.monotonic()
             time.sleep(LASTS_S)
             took_s = time.monotonic() - began_s
             share, asked = (process_cpu_s(process.pid) - used_s) / took_s, (daemon.looks - looks) / took_s
-            got = (sum(heard) - states) / took_s
+            got = (sum(received) - states) / took_s
             ended.set()
             for thread in threads:
                 thread.join(5)

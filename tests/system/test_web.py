@@ -154,7 +154,7 @@ def reached(daemon: Answers, looks: int) -> bool:
 def minutes(daemon: Answers, count: int) -> None:
     """Something changes in each of the updates."""
     for _ in range(count):
-        daemon.tell({"name": "measured", "run_dir": "run"})
+        daemon.send_event({"name": "measured", "run_dir": "run"})
         upto = daemon.looks + LOOKS
         wait_for(partial(reached, daemon, upto), "a minute")
 

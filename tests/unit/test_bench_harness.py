@@ -1,4 +1,4 @@
-"""The benchmark harness: what a race measures, whom it stops, and what it writes."""
+"""The benchmark harness: what a race measures, which processes it stops, and what it writes."""
 
 from __future__ import annotations
 
@@ -201,9 +201,9 @@ class TestRunning:
 
     def test_progress_and_failure_are_reported(self, package: Path, capsys: pytest.CaptureFixture[str]) -> None:
         bench.run(["bad"], Console(), package.name)
-        told = capsys.readouterr().out
-        assert "running" in told
-        assert "half way" in told
+        output = capsys.readouterr().out
+        assert "running" in output
+        assert "half way" in output
 
     def test_a_row_is_kept_as_it_comes_and_the_others_stay(self, package: Path, tmp_path: Path) -> None:
         path = tmp_path / "data" / "benchmarks.jsonl"
@@ -267,6 +267,6 @@ class TestRunning:
     def test_the_table_tells_all(self) -> None:
         console = Console(record=True, width=100, file=io.StringIO())
         console.print(bench.table([Row("solve", 1.0, {"quick": 2.5, "stuck": None}, "nm")]))
-        told = console.export_text()
+        output = console.export_text()
         for word in ("solve", "1 nm", "quick 2.5 nm", "stuck did not finish"):
-            assert word in told
+            assert word in output

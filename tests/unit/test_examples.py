@@ -192,27 +192,27 @@ async def test_a_recording_of_a_driver_of_ones_own(tmp_path: Path, monkeypatch: 
 
 async def test_a_recording_of_a_controller_that_loads_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
-    await _opened(fake, heard)
-    record(tmp_path, heard)
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
+    await _opened(fake, messages)
+    record(tmp_path, messages)
     names: dict[str, Any] = {}
     EXAMPLES["docs/how-to/recording.md"][1].run(names)
     await names["test_the_case_of_tuesday"]()
 
 
-async def _opened(fake: FakePlc, heard: list[WireMessage]) -> None:
+async def _opened(fake: FakePlc, messages: list[WireMessage]) -> None:
     place = RecordedDelivery(Folder(fake.folder), "ftp://plc/programs")
     robot = PlcRobot("PLC", PROFILE, lambda: Recorded(Direct(fake), "opc.tcp://plc:4840", place), place)
-    with record_received(heard.append), record_sent("robot"):
+    with record_received(messages.append), record_sent("robot"):
         async with cycling(fake):
             await robot.open()
             assert (await robot.status()).ready
             await robot.close()
 
 
-def record(folder: Path, heard: list[WireMessage]) -> None:
-    """Write what passed as the file of the page's examples."""
-    lines = header_line("0", "cell", "", {}) + b"".join(passed_line(one, heard[0].at_s) for one in heard)
+def record(folder: Path, messages: list[WireMessage]) -> None:
+    """Write the messages as the file of the page's examples."""
+    lines = header_line("0", "cell", "", {}) + b"".join(passed_line(one, messages[0].at_s) for one in messages)
     (folder / "case.wire.jsonl.gz").write_bytes(gzip.compress(lines))
 
 

@@ -45,10 +45,10 @@ def polishd_notifiers(): return [NotifierType("pager", Options, build)]
 @hookimpl
 def polishd_check_plan(plan, envelope): return [f"{plan} in {envelope}"]
 @hookimpl
-def polishd_on_event(event): HEARD.append(event.name)
+def polishd_on_event(event): EVENTS.append(event.name)
 @hookimpl
 def polishd_cli(app): app.append("verb")
-HEARD = []
+EVENTS = []
 """
 
 
@@ -225,8 +225,8 @@ def test_plan_is_refused_by_anything_but_an_empty_list(install: Any, body: str, 
 
 
 def test_events_reach_all_though_one_raises(install: Any, caplog: pytest.LogCaptureFixture) -> None:
-    heard: list[str] = []
-    listen = "HEARD = []\n@hookimpl\ndef polishd_on_event(event): HEARD.append(event.name)"
+    received: list[str] = []
+    listen = "EVENTS = []\n@hookimpl\ndef polishd_on_event(event): EVENTS.append(event.name)"
     names = [
         install("one", listen),
         install("two", "@hookimpl\ndef polishd_on_event(event): raise RuntimeError('oh')"),
@@ -236,8 +236,8 @@ def test_events_reach_all_though_one_raises(install: Any, caplog: pytest.LogCapt
     hooks.on_event(PassProgressed(block=1))
     for plugin in hooks.report.loaded:
         (registered,) = plugin.manager.get_plugins()
-        heard += getattr(registered, "HEARD", [])
-    assert heard == ["pass_progressed", "pass_progressed"]
+        received += getattr(registered, "EVENTS", [])
+    assert received == ["pass_progressed", "pass_progressed"]
     assert "plugin two failed on event pass_progressed" in caplog.text
     assert "RuntimeError: oh" in caplog.text
 

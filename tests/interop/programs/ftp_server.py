@@ -1,4 +1,4 @@
-"""pyftpdlib's server on loopback: ``python ftp_server.py FOLDER USER PASSWORD``; the first line tells its port."""
+"""pyftpdlib's server on loopback: ``python ftp_server.py FOLDER USER PASSWORD``; the first line has its port."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pyftpdlib.servers import FTPServer
 
 
 def main() -> None:
-    """Until standard input ends."""
+    """Run until standard input ends."""
     logging.basicConfig(level=logging.ERROR)
     folder, user, password = sys.argv[1:]
     authorizer = DummyAuthorizer()
@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def ends_with_input() -> None:
-    """Whoever started us is gone."""
+    """End this process when standard input ends: the parent process has ended."""
     sys.stdin.read()
     os._exit(0)
 

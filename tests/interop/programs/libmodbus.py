@@ -1,7 +1,7 @@
 """libmodbus itself, through ctypes: a master, and as a process (a slave) what serves its mapping.
 
 ``python libmodbus.py tcp`` listens on loopback at any port, ``python libmodbus.py rtu PATH`` on a serial line at 19200
-8N1. The first line tells where; then each line of JSON sets or gets values of a table.
+8N1. The first line has its address; then each line of JSON sets or gets values of a table.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Client:
 
 
 def serve(arguments: Sequence[str]) -> None:
-    """Until standard input ends."""
+    """Run until standard input ends."""
     lib = library()
     mapping = lib.modbus_mapping_new(SIZE, SIZE, SIZE, SIZE)
     tcp = arguments[0] == "tcp"

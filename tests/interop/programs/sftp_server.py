@@ -1,4 +1,4 @@
-"""paramiko's SFTP server: ``python sftp_server.py FOLDER USER PASSWORD``; the first line tells its port and its key.
+"""paramiko's SFTP server: ``python sftp_server.py FOLDER USER PASSWORD``; the first line has its port and its key.
 
 How files are kept is what paramiko leaves to its user: here a folder, which knows no posix-rename.
 """
@@ -17,7 +17,7 @@ import paramiko
 
 
 class Login(paramiko.ServerInterface):
-    """One account."""
+    """Server with one account."""
 
     def check_auth_password(self, username: str, password: str) -> int:
         good = [username, password] == sys.argv[2:]
@@ -65,12 +65,12 @@ class Files(paramiko.SFTPServerInterface):
 
 
 def main() -> None:
-    """Until standard input ends."""
+    """Run until standard input ends."""
     key = paramiko.ECDSAKey.generate()
     listening = socket.create_server(("127.0.0.1", 0))
     threading.Thread(target=serve, args=(listening, key), daemon=True).start()
-    told = {"port": listening.getsockname()[1], "key": f"{key.get_name()} {key.get_base64()}"}
-    print(json.dumps({"ok": told}), flush=True)
+    answer = {"port": listening.getsockname()[1], "key": f"{key.get_name()} {key.get_base64()}"}
+    print(json.dumps({"ok": answer}), flush=True)
     sys.stdin.read()
     os._exit(0)
 

@@ -130,9 +130,9 @@ def test_what_is_wrong_is_reported_by_its_key(
 )
 def test_a_broken_plugin_is_refused_by_name(cell: Any, polishd: Polishd, install: Any, body: str, says: str) -> None:
     install("acme", PAGER.format(body=body))
-    told = polishd("notify", cell('[notify.me]\ntype = "pager"\n', ("acme",)))
-    assert told.code == 3
-    assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}. Correct the plugin" in told.err
+    done = polishd("notify", cell('[notify.me]\ntype = "pager"\n', ("acme",)))
+    assert done.code == 3
+    assert f"notify.me.type: plugin 'acme', notifier type 'pager': {says}. Correct the plugin" in done.err
 
 
 def test_a_notifier_of_a_plugin(cell: Any, polishd: Polishd, install: Any, tmp_path: Path) -> None:

@@ -45,8 +45,8 @@ sys.addaudithook(interrupt)
 
 
 @pytest.fixture(autouse=True)
-def heard() -> Iterator[None]:
-    """A shell that runs these tests in the background has them, and who they start, ignore Ctrl-C."""
+def interruptible() -> Iterator[None]:
+    """Restore Ctrl-C, which a shell that runs these tests in the background disables for them and their children."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

@@ -46,7 +46,7 @@ class Web(Peer):
 
 
 class DeadBus(SlcanPeer):
-    """An adapter that takes orders and hears nothing."""
+    """Adapter that accepts commands and receives nothing."""
 
     def __init__(self) -> None:
         node = BeatingNode()

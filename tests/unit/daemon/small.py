@@ -189,12 +189,12 @@ def small_job(
 
 
 def open_journal(tmp_path: Path) -> Journal:
-    """The journal of this job."""
+    """Open the journal of this job."""
     return Journal.open(tmp_path, job="small", part_id="P-1")
 
 
-def told_phases(journal: Journal) -> list[tuple[Any, ...]]:
-    """Cycle, phase, how it ended and over which error: of the open journal's job, in time order."""
+def recorded_phases(journal: Journal) -> list[tuple[Any, ...]]:
+    """Return cycle, phase, outcome and error of the open journal's job, in time order."""
     sql = "SELECT cycle, phase, outcome, error FROM phase WHERE job = ? ORDER BY id"
     return journal._store.read(sql, (journal._job,))
 
@@ -254,7 +254,7 @@ class Bench:
         return small_recipe()
 
     def phases(self) -> list[str]:
-        return [f"{cycle} {phase} {outcome}" for cycle, phase, outcome, _ in told_phases(self.journal)]
+        return [f"{cycle} {phase} {outcome}" for cycle, phase, outcome, _ in recorded_phases(self.journal)]
 
     def moved(self) -> list[str]:
         return self.fake.of(*MOVES)

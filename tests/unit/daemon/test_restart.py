@@ -33,7 +33,7 @@ class Rerun(Site):
         super().__init__(tmp_path, monkeypatch)
         self.maps = 0
         self.stop_at: int | None = None
-        """SIGTERM comes with so many maps taken."""
+        """Number of maps after which SIGTERM comes."""
         self.measure = self.take
 
     def build(self, config: Any, hooks: Any) -> Cell:

@@ -21,7 +21,7 @@ from tests.unit.daemon.small import small_map, small_program, small_recipe
 
 
 class Costly:
-    """A solver that needs so many CPU seconds for each problem, on a machine that takes twice as many wall seconds."""
+    """Solver that needs a given CPU time for each problem, on a machine that takes twice as much wall time."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, needs_s: float) -> None:
         self.needs_s = needs_s

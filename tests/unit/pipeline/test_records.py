@@ -194,20 +194,20 @@ def test_a_model_gets_the_samples_of_the_maps(
 ) -> None:
     from polishd.api import EstimateUpdate, PassEvidence, RemovalRequest, learn_rate
 
-    heard: list[PassEvidence] = []
+    received: list[PassEvidence] = []
 
     def learn(request: RemovalRequest, evidence: PassEvidence) -> EstimateUpdate:
-        heard.append(evidence)
+        received.append(evidence)
         return learn_rate(request, evidence)
 
-    recipe = small_recipe(model=RemovalModel("hears", gaussian_effect, learn=learn))
+    recipe = small_recipe(model=RemovalModel("learner", gaussian_effect, learn=learn))
     removal = steps.effect_of(recipe, program, measured.grid).removal_nm(solved.expected_s)
     after = replace(measured, height_nm=measured.height_nm - removal, **then)
     done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)
     steps.learn(recipe, program, done, steps.initial_estimates(recipe))
     grid = small_map().grid
     lies = after.registration
-    assert heard[0].pixels == (MapPixels(grid, lies.rotation_deg, lies.shift_mm) if alike else None)
+    assert received[0].pixels == (MapPixels(grid, lies.rotation_deg, lies.shift_mm) if alike else None)
 
 
 def test_what_a_model_will_not_go_on_after_stops_and_teaches_nothing(

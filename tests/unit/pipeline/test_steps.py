@@ -636,7 +636,7 @@ def test_as_programmed_no_time_is_changed() -> None:
 def test_low_orders_are_doubted_before_anything_is_learned(
     program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:
-    """A rim that stands 12 nm higher: of the pass, or warm? Maps since tell, and then the rate is learned beside it."""
+    """A rim that stands 12 nm higher, from the pass or thermal: later maps decide, and then the rate is learned."""
     warm = 12.0 * (measured.grid.radius_mm() / 12.0) ** 2
     after = polished(measured, removed(program, measured, solved, 0.95) - warm)
     done = ExecutedPass(measured, after, solved.asked_s, solved.expected_s)

@@ -135,7 +135,7 @@ def test_a_login_that_is_refused_does_not_tell_the_password(folder: Path) -> Non
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ssl.SSLContext]:
-    """Of a server of the house: the file of whom to trust, and its context."""
+    """Return the certificate file of a private authority and the context of a server."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl makes the certificate, and is not installed")
     folder = tmp_path_factory.mktemp("tls")
@@ -216,8 +216,8 @@ def test_a_webhook_over_tls(folder: Path, certificate: tuple[Path, ssl.SSLContex
 
 
 def script(folder: Path, text: str) -> list[str]:
-    (folder / "tell.py").write_text(text)
-    return [sys.executable, str(folder / "tell.py")]
+    (folder / "notify.py").write_text(text)
+    return [sys.executable, str(folder / "notify.py")]
 
 
 def test_a_command_reads_the_notification(folder: Path) -> None:
@@ -227,9 +227,9 @@ def test_a_command_reads_the_notification(folder: Path) -> None:
 
 
 def test_a_command_beside_the_cells_file(folder: Path) -> None:
-    (folder / "tell").write_text("#!/bin/sh\ncat > given\n")
-    (folder / "tell").chmod(0o700)
-    notifier("command", folder, argv=["./tell"])(ALARM)
+    (folder / "notify").write_text("#!/bin/sh\ncat > given\n")
+    (folder / "notify").chmod(0o700)
+    notifier("command", folder, argv=["./notify"])(ALARM)
     assert (folder / "given").stat().st_size > 0
 
 
@@ -248,7 +248,7 @@ def test_a_command_that_hangs_is_killed_with_what_it_started(folder: Path, monke
         if timeout is None:
             return int(wait(process))
         wait_for((folder / "child").exists, "the child")
-        raise subprocess.TimeoutExpired("tell", timeout)
+        raise subprocess.TimeoutExpired("notify", timeout)
 
     monkeypatch.setattr(subprocess.Popen, "wait", up)
     argv = ["sh", "-c", "sleep 600 & echo $! > new; mv new child; wait"]

@@ -104,7 +104,7 @@ def write_summary(folder: Path, cycles: list[dict[str, Any]], **changes: Any) ->
 
 
 def write_run(folder: Path, passes: int) -> Path:
-    """A run of so many passes, and the measurement after them."""
+    """Write a run with a number of passes and the measurement after them."""
     cycles = [write_cycle(folder / f"cycle-{cycle:02d}", cycle, passed=cycle < passes) for cycle in range(passes + 1)]
     write_summary(folder, cycles)
     return folder

@@ -1,4 +1,4 @@
-"""Every way to declare an instrument wrong: 8 turns and flips, 2 signs, 3 factors. Each is caught, known by whom.
+"""Every way to declare an instrument wrong: 8 turns and flips, 2 signs, 3 factors. Each is detected by a known check.
 
 A part with marks and an artefact are measured by one true instrument. A profile that is wrong by one of the 48
 combinations shows them accordingly; what the cell does with such maps is played through the three that watch:

@@ -140,9 +140,9 @@ def test_the_log_of_a_cell_and_that_on_stderr(tmp_path: Path, capsys: pytest.Cap
 def test_a_notifications_title_and_text() -> None:
     words = {"what": EVIL, "now": EVIL, "todo": EVIL, "cell": EVIL, "job": EVIL, "part": EVIL, "run_dir": EVIL}
     at = "2026-11-22T02:14:09+00:00"
-    told = Notification(id="1", event="failed", severity=Severity.ALARM, cycle=1, at=at, **words)
-    require_shown(told.title)
-    require_shown(told.text)
+    notification = Notification(id="1", event="failed", severity=Severity.ALARM, cycle=1, at=at, **words)
+    require_shown(notification.title)
+    require_shown(notification.text)
 
 
 def test_a_table_in_a_file() -> None:

@@ -1,4 +1,4 @@
-"""What the cells tell is taken once: whatever is sent again, torn, out of order, or of another journal."""
+"""Reports of cells are stored once: also when sent again, incomplete, out of order, or of another journal."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def test_a_shop_that_is_killed_at_each_step_has_all_it_answered_once(
 
 
 class Few(threading.Event):
-    """So many turns without a pause."""
+    """Run this number of turns without a pause."""
 
     def __init__(self, turns: int) -> None:
         super().__init__()
@@ -221,14 +221,14 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
         with closing(sqlite3.connect(shop.state_dir / DATABASE_NAME)) as database:
             claims = database.execute("SELECT request, ended FROM claim").fetchall()
             states = dict(database.execute("SELECT job, state FROM part"))
-            heard = database.execute("SELECT seq FROM event ORDER BY seq").fetchall()
+            received = database.execute("SELECT seq FROM event ORDER BY seq").fetchall()
         assert [name for name, _ in queue] == ["lens"], f"killed at step {number}"
         assert claims == [(queue[0][1], None)], f"killed at step {number}"
         assert states == {"lens": "claimed", "disc": "waiting"}
-        assert heard == recorded
+        assert received == recorded
         asking = config.state_dir / "shop" / "asking"
         assert not asking.exists() or asking.read_text() == queue[0][1], "what was asked is looked up before more is"
-        assert [json.loads(row[-1]) for row in found["cell"]], "the shop has heard of the cell"
+        assert [json.loads(row[-1]) for row in found["cell"]], "the shop knows the cell"
         if asking.exists():  # with the part removed from its queue, the cell requests the next one
             with Queue.at_rest(config.state_dir) as own_queue:
                 own_queue.remove_waiting("lens")

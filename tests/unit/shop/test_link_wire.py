@@ -1,4 +1,4 @@
-"""A cell's requests to its shop on real connections: what each answer means, whom it trusts, and what it never says."""
+"""A cell's requests to its shop on real connections: meaning of answers, trusted servers, and what it never sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated force sensor and monitor: what they feel and tell, what happens to them, and their lines."""
+"""The simulated force sensor and monitor: their readings, their faults, and their lines."""
 
 from __future__ import annotations
 

@@ -99,9 +99,9 @@ async def test_two_maps_of_one_surface_differ(tmp_path: Path) -> None:
 
 
 async def test_nasty_files_come_first_and_the_right_one_last(tmp_path: Path) -> None:
-    nasty = instrument(tmp_path, faults=MapFaults(wrong_part_first=True, duplicate_first=True, preallocate=True))
-    await nasty.drop(TRUE)
-    await nasty.drop(TRUE + 1.0)
+    faulty = instrument(tmp_path, faults=MapFaults(wrong_part_first=True, duplicate_first=True, preallocate=True))
+    await faulty.drop(TRUE)
+    await faulty.drop(TRUE + 1.0)
     found = files(tmp_path)
     assert [path.name.split("-")[0] for path in found] == ["wrong", "map", "wrong", "again", "map"]
     assert [metropro.read(path).part for path in found] == ["OTHER-7", "DEMO-100", "OTHER-7", "DEMO-100", "DEMO-100"]
@@ -109,7 +109,7 @@ async def test_nasty_files_come_first_and_the_right_one_last(tmp_path: Path) -> 
     np.testing.assert_allclose(
         metropro.read(found[0]).height_nm, -metropro.read(found[1]).height_nm, atol=metropro.UNIT_NM
     )
-    link: Any = nasty.runtime.link
+    link: Any = faulty.runtime.link
     assert [data["file"] for name, data in link.events if name == "map_dropped"] == [found[1].name, found[4].name]
 
 

@@ -23,9 +23,9 @@ class Bench:
         values: dict[str, Any] = {"load_s": 2.0, "unload_s": 1.0} | changes
         self.arm = LoaderArm(lambda name, *_, **__: self.reported.append(name), self.seats.append, 0.0, seat, **values)
 
-    def after(self, seconds: float, *, heard: bool = True) -> int:
-        """Its state so much later."""
-        if heard:
+    def after(self, seconds: float, *, requested: bool = True) -> int:
+        """Advance the arm by this time and return its state."""
+        if requested:
             self.arm.on_request()
         self.arm.step(self.arm.now_s + seconds)
         return self.arm.state
@@ -82,8 +82,8 @@ def test_what_it_carries_may_go_back() -> None:
 def test_without_requests_it_stops() -> None:
     bench = Bench(seat="", load_s=60.0)
     bench.arm.load("P-2")
-    assert bench.after(4.9, heard=False) == MOVING
-    assert bench.after(0.2, heard=False) == STOPPED
+    assert bench.after(4.9, requested=False) == MOVING
+    assert bench.after(0.2, requested=False) == STOPPED
     assert "watchdog" in bench.reported
 
 

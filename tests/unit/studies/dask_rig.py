@@ -1,4 +1,4 @@
-"""A Dask scheduler and workers over TCP on loopback, as anybody starts them."""
+"""Run a Dask scheduler and workers over TCP on loopback with their usual commands."""
 
 from __future__ import annotations
 

@@ -95,9 +95,9 @@ TOUCHED = '[controllers.touched]\nwitness = "touch"\n"process.estimates" = "mach
 @pytest.mark.full
 def test_a_spot_that_is_off_is_found_by_a_touch_and_corrected_in_the_first_pass(tmp_path: Path) -> None:
     """Without it the gate stops after the first pass, for a person."""
-    off = wrong_with(study(tmp_path, f"[controllers.untold]\n{TOUCHED}"), "effects", spot_shift_mm=1.5)
-    untold, touched = runs_here(off)
-    assert (untold.ended, untold.named) == ("gate", ("shift",))
+    off = wrong_with(study(tmp_path, f"[controllers.untouched]\n{TOUCHED}"), "effects", spot_shift_mm=1.5)
+    untouched, touched = runs_here(off)
+    assert (untouched.ended, untouched.named) == ("gate", ("shift",))
     assert touched.accepted
     assert touched.passes == 1
     ((low, high, came),) = touched.came_nm

@@ -31,7 +31,7 @@ Rows = dict[int, tuple[dict[str, Any], ...]]
 def rows(
     study: Path, executor: Executor, kill: Callable[[], None] = lambda: None, report_wait: Callable[[str], None] = print
 ) -> Rows:
-    """By case; after each that came, whom ``kill`` knows is killed."""
+    """Return the rows by case; ``kill`` is called after each result."""
     found = {}
     with executor:
         for done in work(study, cases_of(load_swept(study)), executor, report_wait=report_wait):

@@ -1,4 +1,4 @@
-"""What came of a study's cases: nothing is computed twice, nothing torn is taken, and the table is whole."""
+"""Results of a study's cases: none is computed twice, incomplete ones are ignored, and the table is complete."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ for name in {modules!r}:
 
 @pytest.mark.full
 def test_without_any_extra_a_pass_is_planned_with_the_same_figures(tmp_path: Path) -> None:
-    """In a process of its own, from the map to the rewritten program and the report."""
+    """Run the chain in a separate process, from the map to the rewritten program and the report."""
     cell = demo(tmp_path)
     at = (np.arange(111) - 55) * 1.0
     x, y = np.meshgrid(at, -at)

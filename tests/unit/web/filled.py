@@ -210,7 +210,7 @@ def _figure(rms_nm: float, seed: int) -> tuple[Any, Any]:
 
 
 def months(cell: FilledCell, count: int, last_s: float = NOW_S, days: float = 0.25) -> Iterator[int]:
-    """Add so many parts before that time, one in so many days, most of them accepted; yield their numbers."""
+    """Add parts before that time at intervals of days, most of them accepted; yield their numbers."""
     rng = random.Random(4)
     at_s = last_s - count * days * DAY_S
     for number in range(count):

@@ -57,12 +57,12 @@ class Answers:
         self.does(verb, args)
         return {"ok": False, "error": self.refuse} if self.refuse else {"ok": True, "state": "held", "jobs": []}
 
-    def tell(self, event: dict[str, Any]) -> None:
-        """Those who listen hear of it."""
+    def send_event(self, event: dict[str, Any]) -> None:
+        """Send an event to all subscribers."""
         self.say(json.dumps({"event": event}))
 
     def say(self, line: str) -> None:
-        """Those who listen are sent that line."""
+        """Send a line to all subscribers."""
         for subscriber in self.subscribers:
             subscriber.write(line.encode() + b"\n")
             subscriber.flush()

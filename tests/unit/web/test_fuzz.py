@@ -1,4 +1,4 @@
-"""Whatever an endpoint is asked, by whom and with what: no fault of ours, and no answer that is no JSON."""
+"""No request of any client to any endpoint causes an internal error or an answer that is not JSON."""
 
 from __future__ import annotations
 

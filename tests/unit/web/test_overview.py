@@ -40,7 +40,7 @@ def config(tmp_path: Path) -> CellConfig:
 
 
 def under_way(config: CellConfig, earlier: int, blocks: int) -> int:
-    """A journal with a pass under way since 110 s and so many blocks; earlier passes took 1.5 x as long as planned."""
+    """Write a journal with a pass under way since 110 s; earlier passes took 1.5 times as long as planned."""
     cell = FilledCell(config)
     for number in range(earlier):
         cell.part(f"old-{number}", NOW_S - 90_000 + number, [20.0, 1.5])

@@ -51,13 +51,13 @@ def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> 
     head = f"GET /api/events HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\n\r\n"
     with answering(config.state_dir), serving(cell) as at, socket.create_connection(at, SOON_S) as watcher:
         watcher.sendall(head.encode())
-        heard = b""
-        while b'"daemon": "up"' not in heard:
+        received = b""
+        while b'"daemon": "up"' not in received:
             part = watcher.recv(65536)
             assert part
-            heard += part
-        assert b"content-type: text/event-stream" in heard.lower()
-        assert heard.count(b"event: state") >= 1
+            received += part
+        assert b"content-type: text/event-stream" in received.lower()
+        assert received.count(b"event: state") >= 1
 
 
 @pytest.mark.full

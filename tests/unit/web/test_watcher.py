@@ -91,7 +91,7 @@ async def test_a_malformed_line_is_ignored_and_the_next_event_arrives(
                 while not daemon.subscribers:  # noqa: ASYNC110 -- pytest's timeout is the limit
                     await asyncio.sleep(0.01)
                 daemon.say(line)
-                daemon.tell({"name": "held", "cycle": 1, "data": {}})
+                daemon.send_event({"name": "held", "cycle": 1, "data": {}})
                 async with asyncio.timeout(SOON_S):
                     while not (message := await anext(page)).startswith("event: happened"):
                         pass

@@ -36,8 +36,8 @@ def monitored(bench: Bench, action: SignalAction) -> FakeMonitor:
     return bench.fake.with_monitor(replace(FLOW, action=action), flow=1.5)
 
 
-def told_of(running: Running) -> list[SignalOutOfRange]:
-    """Alarms that the job published."""
+def published_alarms(running: Running) -> list[SignalOutOfRange]:
+    """Return the alarms that the job published."""
     return [event for event in running.daemon.job.published if isinstance(event, SignalOutOfRange)]  # type: ignore[union-attr]
 
 
@@ -140,7 +140,7 @@ async def test_nothing_moves_before_it_is_ready_and_the_cell_is_held_in_the_end(
     monitor = monitored(bench, "hold")
     monitor.values["flow"] = 0.9
     async with Running(bench) as running:
-        while not told_of(running):  # noqa: ASYNC110
+        while not published_alarms(running):  # noqa: ASYNC110
             await asyncio.sleep(0)
         assert running.daemon.state == "polishing"
         while running.daemon.state == "polishing":

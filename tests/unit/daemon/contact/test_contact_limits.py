@@ -34,8 +34,8 @@ def speed(at_s: float, rpm: float = 1000.0, *, fault: int = 0) -> SpeedSample:
     return SpeedSample(at_s, rpm, 1000.0, fault)
 
 
-class Heard(ContactRecord):
-    """A record that keeps its inputs for the test."""
+class InputRecord(ContactRecord):
+    """Contact record that keeps its inputs for the test."""
 
     def __init__(self) -> None:
         super().__init__(lambda records: None, 1.5)
@@ -52,14 +52,14 @@ class Heard(ContactRecord):
 
 
 class Watched:
-    """One watcher, and what comes of samples that it hears."""
+    """Contact monitor with the result of its samples."""
 
     def __init__(self, limits: ContactLimits = LIMITS) -> None:
-        self.fake, self.touch = FakeCell(), Heard()
+        self.fake, self.touch = FakeCell(), InputRecord()
         self.watch = safety._ContactMonitor(limits, self.touch, safety._force_check(limits))
 
     async def read(self, samples: Sequence[Any]) -> BaseException | None:
-        """What ends it; None where it would listen on."""
+        """Return the error that ends the monitor; None where it would continue."""
         over = asyncio.Event()
 
         async def readings() -> AsyncIterator[Any]:
@@ -184,7 +184,7 @@ async def test_a_force_that_is_no_force_is_not_in_its_band(force_n: float) -> No
 
 
 async def test_a_device_with_steady_samples_is_not_silent() -> None:
-    heard: list[int] = []
+    received: list[int] = []
 
     async def samples() -> AsyncIterator[int]:
         ends_s = time.monotonic() + 0.06
@@ -193,8 +193,8 @@ async def test_a_device_with_steady_samples_is_not_silent() -> None:
             await asyncio.sleep(0)
 
     with pytest.raises(LinkError, match=r"^it: its samples ended while in contact"):
-        await device_polling.read_samples(samples(), heard.append, "it", 0.01)
-    assert len(heard) > 1
+        await device_polling.read_samples(samples(), received.append, "it", 0.01)
+    assert len(received) > 1
 
 
 async def looks_until_silent(monkeypatch: pytest.MonkeyPatch, silence_s: float) -> list[float | None]:
@@ -227,7 +227,7 @@ async def test_silence_is_counted_in_small_steps(
 async def test_time_in_which_this_process_did_not_run_is_no_silence(
     monkeypatch: pytest.MonkeyPatch, step_s: float, looks: int
 ) -> None:
-    """Of a long one two looks count: it hears first, then."""
+    """After a long pause two checks count: the monitor reads first."""
     ticks = itertools.count(1000)
     monkeypatch.setattr(device_polling, "time", SimpleNamespace(monotonic=lambda: next(ticks) * step_s))
     assert len(await looks_until_silent(monkeypatch, 0.22)) == looks

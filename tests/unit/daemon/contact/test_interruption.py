@@ -290,7 +290,7 @@ async def test_what_can_be_touched_after_the_last_word(
     interrupted(journal, 17)
     await mark_interrupted(fake.cell, journal, 2, left(journal, off_s=off_s, reported_s=100.0), robot)
     assert journal.passes[0].uncertain == marked
-    assert journal.passes[0].ended_s is None, "the robot may still tell"
+    assert journal.passes[0].ended_s is None, "the robot may still report"
 
 
 async def test_a_tool_that_never_left_its_landing_point_has_touched_nothing(fake: FakeCell, journal: Journal) -> None:

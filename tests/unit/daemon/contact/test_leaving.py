@@ -44,12 +44,12 @@ async def cut_off(fake: FakeCell, touch: ContactRecord, limits: ContactLimits = 
     return left_s[0]
 
 
-def untold() -> ContactRecord:
+def unused_record() -> ContactRecord:
     return ContactRecord(lambda records: None, 1.5)
 
 
 async def test_at_the_normal_end_the_tool_is_off_once_the_lift_is_confirmed() -> None:
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     async with contact(fake.cell, LIMITS, touch):
         assert fake.cell.pressing
         assert not touch.left
@@ -63,7 +63,7 @@ async def test_at_the_normal_end_the_tool_is_off_once_the_lift_is_confirmed() ->
 
 
 async def test_an_actuator_that_confirms_says_when_the_tool_was_off() -> None:
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     left_s = await cut_off(fake, touch)
     assert touch.left
     assert left_s + fake.actuator.lifting_s <= touch.off_s <= fake.clock.at_s
@@ -74,7 +74,7 @@ async def test_an_actuator_that_confirms_says_when_the_tool_was_off() -> None:
 @pytest.mark.parametrize("error", [LinkError("gone"), TimeoutError()])
 async def test_one_that_cannot_be_asked_has_let_go_by_itself_after_its_own_time(error: Exception) -> None:
     """The robot cannot lift either: the actuator's watchdog lifts, whatever command arrived last."""
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     fake.robot.lifts = False
     fake.actuator.acts.fails["make_safe"] = error
     left_s = await cut_off(fake, touch)
@@ -84,8 +84,8 @@ async def test_one_that_cannot_be_asked_has_let_go_by_itself_after_its_own_time(
 
 
 async def test_contact_is_unknown_for_an_actuator_that_answers_and_does_not_lift() -> None:
-    """It hears of us, so that its watchdog does not act."""
-    fake, touch = FakeCell(), untold()
+    """The actuator receives requests, so that its watchdog does not act."""
+    fake, touch = FakeCell(), unused_record()
     fake.robot.lifts = False
     fake.actuator.acts.fails["make_safe"] = DeviceFault("jammed")
     await cut_off(fake, touch)
@@ -94,7 +94,7 @@ async def test_contact_is_unknown_for_an_actuator_that_answers_and_does_not_lift
 
 
 async def test_a_robot_that_lifts_says_when_the_tool_was_off() -> None:
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     fake.actuator.acts.fails["make_safe"] = DeviceFault("jammed")
     left_s = await cut_off(fake, touch)
     assert touch.taken_off or touch.off_s == touch._lifts_s
@@ -106,7 +106,7 @@ async def test_a_robot_that_does_not_answer_when_it_should_lift_is_not_waited_fo
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(time_limits, "ANSWERS_S", 0.02)
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     fake.robot.times = RobotTimes(stop_s=0.0)
     fake.robot.acts.hangs.add("lift")
     fake.actuator.acts.fails["make_safe"] = DeviceFault("jammed")
@@ -117,7 +117,7 @@ async def test_a_robot_that_does_not_answer_when_it_should_lift_is_not_waited_fo
 
 
 async def test_no_other_device_says_anything_of_the_tool() -> None:
-    twins, touch = Twins(), untold()
+    twins, touch = Twins(), unused_record()
     twins.right.actuator.acts.fails["make_safe"] = LinkError("gone")
     gate = asyncio.Event()
 
@@ -144,14 +144,14 @@ async def test_no_other_device_says_anything_of_the_tool() -> None:
 
 async def test_a_robot_waits_for_an_actuator_that_is_not_known_to_be_silent() -> None:
     """It is commanded to lift and may be slow: no other device lifts meanwhile."""
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     fake.actuator.retracted = False
     await make_safe(fake.cell, touch)
     assert fake.events == ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]
 
 
 async def test_one_that_is_known_to_be_silent_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake, touch, answers = FakeCell(), untold(), asyncio.Event()
+    fake, touch, answers = FakeCell(), unused_record(), asyncio.Event()
     monkeypatch.setattr(fake.actuator, "make_safe", answers.wait)
     leaving = asyncio.ensure_future(make_safe(fake.cell, touch, silent=True))
     while "robot.make_safe" not in fake.events:  # noqa: ASYNC110
@@ -185,7 +185,7 @@ async def test_a_robot_that_holds_no_tool_of_the_job_waits_for_the_slowest_of_al
 @pytest.mark.parametrize("given", [None, "touch"])
 async def test_without_a_contact_nothing_is_said_of_one(given: str | None) -> None:
     fake: Any = FakeCell()
-    touch = untold() if given else None
+    touch = unused_record() if given else None
     await make_safe(fake.cell, touch)
     assert fake.cell.unsafe == ()
     assert touch is None or (touch.left and touch.off_s < math.inf)
@@ -195,7 +195,7 @@ async def test_a_robot_that_holds_another_tool_waits_for_it_though_the_jobs_actu
     twins, answers = Twins(), asyncio.Event()
     for fake in (twins.left, twins.right):
         fake.actuator.make_safe = answers.wait  # type: ignore[method-assign, assignment]
-    leaving = asyncio.ensure_future(make_safe(twins.cell, untold(), silent=True))
+    leaving = asyncio.ensure_future(make_safe(twins.cell, unused_record(), silent=True))
     while "robot.left.make_safe" not in twins.left.events:  # noqa: ASYNC110
         await asyncio.sleep(0)
     for _ in range(20):
@@ -207,7 +207,7 @@ async def test_a_robot_that_holds_another_tool_waits_for_it_though_the_jobs_actu
 
 
 async def test_a_lift_that_is_confirmed_after_all_ends_the_waiting_for_it() -> None:
-    fake, touch, answers = FakeCell(), untold(), asyncio.Event()
+    fake, touch, answers = FakeCell(), unused_record(), asyncio.Event()
     fake.robot.lifts = False
     fake.actuator.make_safe = answers.wait  # type: ignore[method-assign, assignment]
     leaving = asyncio.ensure_future(make_safe(fake.cell, touch, silent=True))

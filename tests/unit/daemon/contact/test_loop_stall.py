@@ -1,4 +1,4 @@
-"""The longest stall of the daemon's loop in contact: devices that hear nothing for half a second let go by themselves.
+"""The longest stall of the daemon's loop in contact: devices without a request for half a second take the force off.
 
 A stall is the time from one look of the loop at what is ready to its next, less what the machine kept from this
 process: time that its threads could run and another process did (``/proc/self/task/*/schedstat``). So a busy machine

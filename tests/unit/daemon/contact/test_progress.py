@@ -224,7 +224,7 @@ def test_the_first_pass_may_show_what_a_point_costs_and_is_still_watched(overhea
 
 @pytest.mark.parametrize("speed", [1.0, 30.0])
 def test_how_well_an_end_is_known_is_no_slow_motion_at_any_speed_of_the_clock(speed: float) -> None:
-    """Reports 0.1 s apart tell of ends 29 ms off; a controller that is simulated faster is off by as much more."""
+    """Reports 0.1 s apart have ends 29 ms off; a controller that is simulated faster is off by as much more."""
     plan, late = plan_of(), np.random.default_rng(5).normal(0.0, 0.029, 201)
     run = Run(plan, excess_of(plan), replace(LIMITS, blur_s=0.087))
     for before_s, after_s in pairwise(late * speed):
@@ -362,7 +362,7 @@ async def test_in_contact_two_looks_at_a_low_override_end_it_and_one_does_not(fa
 
 
 async def stream_looks(fake: FakeCell, looks: int) -> None:
-    """So many looks of the stream's watch."""
+    """Let the stream's monitor check this number of times."""
     for _ in range(looks):
         fake.clock.advance(WATCH_S)
         for _ in range(4):

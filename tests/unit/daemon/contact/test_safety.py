@@ -33,8 +33,8 @@ LIFTED = ["actuator.set_force 0", "actuator.retract", "lifted"]
 UNTOUCHED = [step for step in SAFE if step != "lifted"]
 
 
-def untold() -> ContactRecord:
-    """Of no robot."""
+def unused_record() -> ContactRecord:
+    """Return a contact record that saves nothing."""
     return ContactRecord(lambda records: None, 1.5)
 
 
@@ -44,8 +44,8 @@ def fake() -> FakeCell:
 
 
 async def polish_for(fake: FakeCell, seconds: float = 1.0, limits: ContactLimits = LIMITS) -> None:
-    """In contact for that long by the fake clock: readings let it pass."""
-    async with contact(fake.cell, limits, untold()):
+    """Stay in contact for that long by the fake clock, which readings advance."""
+    async with contact(fake.cell, limits, unused_record()):
         fake.events.append("pressing")
         end_s = fake.clock.at_s + seconds
         while fake.clock.at_s < end_s:  # noqa: ASYNC110
@@ -53,7 +53,7 @@ async def polish_for(fake: FakeCell, seconds: float = 1.0, limits: ContactLimits
 
 
 async def forever(fake: FakeCell) -> None:
-    async with contact(fake.cell, LIMITS, untold()):
+    async with contact(fake.cell, LIMITS, unused_record()):
         fake.events.append("pressing")
         await asyncio.Event().wait()
 
@@ -82,14 +82,14 @@ async def test_the_normal_end_lifts_and_leaves_motion_alone(fake: FakeCell) -> N
 
 async def test_an_exception_in_the_block(fake: FakeCell) -> None:
     with pytest.raises(KeyError, match="mine"):
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             raise KeyError("mine")
     assert fake.events == [*INTO, *SAFE]
 
 
 async def test_an_error_of_ours_in_the_block_comes_out_as_itself(fake: FakeCell) -> None:
     with pytest.raises(LinkError, match="the robot is gone"):
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             raise LinkError("the robot is gone")
     assert fake.events[-4:] == SAFE
 
@@ -216,7 +216,7 @@ async def test_a_signal_that_measures_the_force_has_the_same_limit(fake: FakeCel
     fake.cell.signals.update("monitor", Signal(0.0, "AI7", 30.0))  # not in contact yet
 
     async def send() -> None:
-        async with contact(fake.cell, CAPPED, untold()):
+        async with contact(fake.cell, CAPPED, unused_record()):
             for value in (12.0, None, 17.9):
                 fake.cell.signals.update("monitor", Signal(0.0, "AI7", value))
             fake.cell.signals.update("monitor", Signal(0.0, "AI6", 30.0))
@@ -333,7 +333,7 @@ async def test_a_silent_actuator_is_off_alone_only_where_it_lifts_without_power(
     fake.robot.lifts = False
     fake.actuator.times = ActuatorTimes(watchdog_s=0.0, release_s=0.0, retract_s=0.0, unpowered=unpowered)
     fake.actuator.acts.fails["make_safe"] = LinkError("no answer")
-    touch = untold()
+    touch = unused_record()
     touch.begin(0.0)
     await make_safe(fake.cell, touch)
     assert (touch.off_s < math.inf) is is_off
@@ -375,7 +375,7 @@ async def test_an_actuator_that_answers_after_all_ends_the_waiting(fake: FakeCel
 async def test_an_actuator_that_does_not_lift_is_left_by_the_robot(fake: FakeCell) -> None:
     fake.actuator.acts.fails["make_safe"] = DeviceFault("does not retract")
     with pytest.raises(KeyError):
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             raise KeyError
     steps = [*INTO, "spindle.make_safe", "actuator.make_safe", "robot.lift 15", "robot.make_safe"]
     assert fake.events == steps
@@ -415,7 +415,7 @@ async def test_an_emergency_stops_motion_at_once(fake: FakeCell) -> None:
     stopped: list[bool] = []
     fake.robot.acts.before["make_safe"] = lambda: stopped.append(fake.actuator.retracted)
     with pytest.raises(KeyError):
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             raise KeyError
     assert stopped == [False], "whatever the part costs"
     assert sorted(fake.events[2:]) == sorted(SAFE)
@@ -534,13 +534,13 @@ async def test_make_safe_attempts_all(fake: FakeCell, broken: str, error: Except
 
 
 async def test_a_link_that_is_opened_to_make_a_device_safe_is_recorded_as_its_own(fake: FakeCell) -> None:
-    heard: list[tuple[str, str]] = []
+    received: list[tuple[str, str]] = []
     names = ("actuator", "robot", "spindle")
     for name in names:
         fake.devices[name].acts.before["make_safe"] = partial(tap, f"tcp://{name}:1")
-    with record_received(lambda passed: heard.append((passed.role, passed.link))):
+    with record_received(lambda passed: received.append((passed.role, passed.link))):
         await make_safe(fake.cell)
-    assert sorted(heard) == [(name, f"tcp://{name}:1") for name in names]
+    assert sorted(received) == [(name, f"tcp://{name}:1") for name in names]
 
 
 @pytest.mark.parametrize("broken", ["actuator", "robot", "spindle"])
@@ -572,7 +572,7 @@ async def test_everything_broken_is_reported(fake: FakeCell) -> None:
     for name in ("actuator", "robot", "spindle"):
         fake.devices[name].acts.fails["make_safe"] = LinkError(f"no {name}")
     with pytest.raises(KeyError):
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             raise KeyError
     assert fake.events[-3:] == ["actuator.make_safe", "robot.lift 15", "robot.make_safe"]
     lifted = "actuator: no actuator; the robot has lifted the tool off the part by 15 mm"
@@ -669,7 +669,7 @@ async def test_only_the_jobs_devices_are_in_contact_and_its_robot_waits_for_its_
     twins.right.actuator.make_safe = slowly  # type: ignore[method-assign]
     twins.left.robot.acts.before["make_safe"] = go_on.set
     with pytest.raises(KeyError):
-        async with contact(twins.cell, LIMITS, untold()):
+        async with contact(twins.cell, LIMITS, unused_record()):
             raise KeyError
     events = twins.left.events
     assert "actuator.left.set_force 12" in events
@@ -731,7 +731,7 @@ def test_root_cause(errors: list[BaseException], raised: type[BaseException]) ->
 
 async def test_two_faults_at_once_tell_the_safety_stop(fake: FakeCell) -> None:
     async def starves() -> None:
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             try:
                 await asyncio.Event().wait()
             finally:

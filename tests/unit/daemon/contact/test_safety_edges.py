@@ -12,7 +12,7 @@ from polishd.daemon.contact.safety import contact, run_to_completion
 from polishd.model.devices import ActuatorTimes, RobotTimes
 from polishd.model.errors import DeviceFault, LinkError
 from tests.fakes.devices import FakeCell
-from tests.unit.daemon.contact.test_safety import LIMITS, Twins, forever, polish_for, until, untold
+from tests.unit.daemon.contact.test_safety import LIMITS, Twins, forever, polish_for, until, unused_record
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -114,7 +114,7 @@ async def test_an_actuator_that_fell_silent_is_not_waited_for_before_the_robot_l
 
 
 async def test_a_lift_of_the_normal_end_may_fail_and_the_tool_is_lifted_all_the_same() -> None:
-    fake, touch = FakeCell(), untold()
+    fake, touch = FakeCell(), unused_record()
     fake.actuator.acts.fails["retract"] = LinkError("cut")
     with pytest.raises(LinkError, match="cut"):
         async with contact(fake.cell, LIMITS, touch):

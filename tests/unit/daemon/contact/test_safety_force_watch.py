@@ -12,7 +12,7 @@ from polishd.daemon.contact.safety import contact
 from polishd.model.devices import ForceSample, SensedForce, SensorTimes
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
 from tests.fakes.devices import FakeCell, FakeForceSensor
-from tests.unit.daemon.contact.test_safety import LIFTED, SAFE, polish_for, untold
+from tests.unit.daemon.contact.test_safety import LIFTED, SAFE, polish_for, unused_record
 from tests.unit.daemon.contact.test_safety import LIMITS as WITHOUT
 
 LIMITS = replace(WITHOUT, apart_n=1.0, apart_s=0.5)
@@ -84,7 +84,7 @@ async def test_a_silent_sensor_ends_contact_as_a_silent_actuator_does(fake: Fake
     sensor.times = SensorTimes(silence_s=0.05)
 
     async def fall_silent() -> None:
-        async with contact(fake.cell, LIMITS, untold()):
+        async with contact(fake.cell, LIMITS, unused_record()):
             sensor.silent = True
             await asyncio.Event().wait()
 
@@ -118,7 +118,7 @@ async def test_landing_waits_for_the_sensor_to_read_the_force_too(fake: FakeCell
         return reading if full else replace(reading, force_n=min(reading.force_n, 8.0))
 
     sensor.reads = late
-    async with contact(fake.cell, replace(LIMITS, apart_n=5.0), untold()):
+    async with contact(fake.cell, replace(LIMITS, apart_n=5.0), unused_record()):
         began_s = fake.clock.at_s
     assert began_s >= landed[0] + 0.15
 
@@ -141,12 +141,12 @@ async def test_a_landing_that_only_the_sensor_feels_ends(fake: FakeCell, sensor:
 
 
 async def test_its_readings_are_recorded(fake: FakeCell, sensor: FakeForceSensor) -> None:
-    heard: list[float] = []
-    touch = untold()
-    touch.sensed = lambda reading: heard.append(reading.force_n)  # type: ignore[method-assign]
+    readings: list[float] = []
+    touch = unused_record()
+    touch.sensed = lambda reading: readings.append(reading.force_n)  # type: ignore[method-assign]
     async with contact(fake.cell, LIMITS, touch):
         pass
-    assert 12.0 in heard
+    assert 12.0 in readings
     assert isinstance(touch, ContactRecord)
 
 

@@ -91,7 +91,7 @@ def contact(tmp_path: Path) -> Iterator[Pass]:
 
 
 async def until(begun: Pass, seq: int) -> None:
-    """The recorder has heard of that block; pytest's timeout is the limit."""
+    """Wait until the recorder has that block; pytest's timeout is the limit."""
     while begun.touch.last_seq < seq:  # noqa: ASYNC110
         await asyncio.sleep(0)
 
@@ -271,7 +271,7 @@ async def test_a_robot_that_has_executed_nothing_is_not_waited_for(
 
 
 async def test_who_follows_hears_of_a_lost_robot_himself(contact: Pass) -> None:
-    """Also one whom the end of the recording does not reach: no block waits, and all would seem done."""
+    """A robot that the end of the recording does not reach is included: no block waits, and all would seem done."""
     results: list[BaseException | None] = []
 
     async def apart() -> None:

@@ -322,9 +322,9 @@ async def test_what_a_wrong_force_removed_is_no_wrong_rate(
     """The tool pressed with 80 % and removed as much less: the known force leaves the rate unchanged."""
     surface = await whole_cycle(job, 0, small_map(), rate=0.8, force_n=force_n, sensed_n=sensed_n)
     await job.learn(1, await job.measured(1, surface))
-    told = job.published[-1]  # type: ignore[attr-defined]
-    assert told.name == "estimates_updated"
-    assert told.data["rate"] == pytest.approx(rate, rel=0.02)
+    event = job.published[-1]  # type: ignore[attr-defined]
+    assert event.name == "estimates_updated"
+    assert event.data["rate"] == pytest.approx(rate, rel=0.02)
 
 
 async def test_an_interrupted_pass_is_kept_for_people_with_what_is_unknown(
@@ -373,9 +373,9 @@ async def test_restored_after_a_restart(job: Job, tmp_path: Path) -> None:
         assert other.cycles() == job.cycles()
         assert np.array_equal(other.executed_s(1), job.executed_s(1))
         await other.learn(2, await other.measured(2, again))
-        told = other.published[-1]  # type: ignore[attr-defined]
-        assert told.name == "estimates_updated"
-        assert told.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
+        event = other.published[-1]  # type: ignore[attr-defined]
+        assert event.name == "estimates_updated"
+        assert event.data["rate"] == pytest.approx(0.8, rel=0.1), "what the first run had learned"
 
 
 async def test_restored_amid_a_cycle_that_had_been_measured(job: Job, tmp_path: Path) -> None:

@@ -37,8 +37,8 @@ async def waits(running: Running) -> PlanAwaitingApproval:
     approval = running.bench.fake.cell.approval
     while not approval.wanted:  # noqa: ASYNC110 - pytest's timeout is the limit
         await asyncio.sleep(0)
-    (told,) = (one for one in running.daemon.job.published if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
-    return told
+    (event,) = (one for one in running.daemon.job.published if isinstance(one, PlanAwaitingApproval))  # type: ignore[union-attr]
+    return event
 
 
 async def test_nothing_moves_before_the_plan_that_waits_is_approved(bench: Bench) -> None:

@@ -81,8 +81,8 @@ async def test_the_seat_is_proved_at_three_places_before_contact_with_the_spindl
     assert calls[: 3 * len(touch)] == 3 * touch
     assert calls[3 * len(touch) :][:3] == ["robot.prepare", "spindle.set_speed 1000", CONTACT]
     assert ended(bench, "touch_off", "run") == ["0 touch_off done", "0 run done"]
-    (told,) = [event for event in job.published if event.name == "part_touched_off"]
-    assert told.seat.worst_mm == pytest.approx(0.0, abs=1e-9)
+    (published,) = [event for event in job.published if event.name == "part_touched_off"]
+    assert published.seat.worst_mm == pytest.approx(0.0, abs=1e-9)
     kept = json.loads((bench.tmp_path / "run/cycle-00/touch_off.json").read_text())
     assert kept["seat"]["off_mm"] == pytest.approx([0.0, 0.0, 0.0])
     assert kept["notes"] == [], "it sits as it should: nothing to note"
@@ -107,8 +107,8 @@ async def test_a_part_that_sits_a_little_off_is_polished(bench: Bench, sign: int
     sits(bench, *[5.0 + 0.2 * sign] * 3)
     job = proving(bench)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    (told,) = [event for event in job.published if event.name == "part_touched_off"]
-    assert told.seat.height_mm == pytest.approx(-0.2 * sign, abs=0.02)
+    (published,) = [event for event in job.published if event.name == "part_touched_off"]
+    assert published.seat.height_mm == pytest.approx(-0.2 * sign, abs=0.02)
 
 
 @pytest.mark.full
@@ -360,8 +360,8 @@ async def test_maps_are_taken_until_two_in_a_row_agree(bench: Bench) -> None:
     bench.fake.clock.sleep = no_sleep  # type: ignore[method-assign]
     job = between(bench, BetweenPasses(settle=SettleRule(limit_nm=0.2, max_maps=6, wait_s=60.0)), max_cycles=1)
     assert await bench.polish(job) is Outcome.CYCLES_USED
-    told = [(event.cycle, event.maps) for event in job.published if event.name == "map_repeated"]
-    assert told == [(0, 2), (1, 2), (1, 3), (1, 4)]
+    published = [(event.cycle, event.maps) for event in job.published if event.name == "map_repeated"]
+    assert published == [(0, 2), (1, 2), (1, 3), (1, 4)]
     rows = bench.journal._store.read("SELECT cycle, sha256 FROM map ORDER BY id")
     assert [cycle for cycle, _ in rows] == [0, 0, 1, 1, 1, 1], "all of them are journalled"
     assert bench.journal.history[-1].sha256 == rows[-1][1], "the last one counts"
@@ -449,9 +449,9 @@ async def test_a_mount_that_prints_through_otherwise_each_time_holds_the_cell(be
     with pytest.raises(RemovalCheckStop, match=r"a trefoil changed by .* nm: three points of the mount"):
         await bench.polish(job)
     assert bench.phases()[-1] == "1 settle failed"
-    told = [event for event in job.published if event.name == "map_repeated"]
-    assert [event.maps for event in told] == [2], "it does not come to rest: no more maps are waited for"
-    assert "mount" in told[0].notes[0]
+    published = [event for event in job.published if event.name == "map_repeated"]
+    assert [event.maps for event in published] == [2], "it does not come to rest: no more maps are waited for"
+    assert "mount" in published[0].notes[0]
     assert (bench.tmp_path / "run/cycle-01/settling-00").is_dir()
     kept = json.loads((bench.tmp_path / "run/cycle-01/again.json").read_text())
     assert kept["change_nm"][0] > kept["limit_nm"]
@@ -473,5 +473,5 @@ async def test_a_part_that_goes_on_changing_holds_the_cell_where_the_tolerance_d
         assert bench.phases()[-1] == "1 settle failed"
     else:
         await bench.polish(job)
-    told = [event.maps for event in job.published if event.name == "map_repeated"]
-    assert told == [2, 3], "it does not come nearer: no more maps are waited for"
+    published = [event.maps for event in job.published if event.name == "map_repeated"]
+    assert published == [2, 3], "it does not come nearer: no more maps are waited for"

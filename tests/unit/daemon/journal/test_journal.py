@@ -26,7 +26,7 @@ from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
 from polishd.model.events import CellHeld, PlanWritten
 from polishd.model.states import CyclePhase, Outcome
-from tests.unit.daemon.small import told_phases
+from tests.unit.daemon.small import recorded_phases
 
 
 def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:
@@ -97,7 +97,7 @@ async def test_job_goes_on_where_it_was(tmp_path: Path) -> None:
         assert journal.passes[0].how == "done"
         assert journal.executed(0).seq.size == 10
         assert journal.phase_now == (0, "measure")
-        assert told_phases(journal) == [(0, "measure", "done", None)]
+        assert recorded_phases(journal) == [(0, "measure", "done", None)]
         assert journal.unfinished() is None
 
 
@@ -160,14 +160,14 @@ async def test_what_each_phase_took_in_all(journal: Journal, monkeypatch: pytest
 
 async def test_phases_tell_how_they_ended(journal: Journal) -> None:
     async with journal.phase(0, CyclePhase.MEASURE):
-        assert told_phases(journal) == [(0, "measure", None, None)]
+        assert recorded_phases(journal) == [(0, "measure", None, None)]
     with pytest.raises(LinkError, match="gone"):
         async with journal.phase(0, CyclePhase.SOLVE):
             raise LinkError("gone")
     with pytest.raises(asyncio.CancelledError):
         async with journal.phase(0, CyclePhase.RUN):
             raise asyncio.CancelledError
-    assert told_phases(journal) == [
+    assert recorded_phases(journal) == [
         (0, "measure", "done", None),
         (0, "solve", "failed", "LinkError: gone"),
         (0, "run", "cancelled", "CancelledError: "),

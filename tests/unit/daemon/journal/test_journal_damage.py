@@ -393,7 +393,7 @@ async def test_a_cell_with_a_damaged_journal_comes_up_held_and_moves_nothing(sit
     assert site.bench is not None
     assert site.bench.fake.events == [], "no device was opened"
     assert [event.data["kind"] for event in site.published if event.name == "cell_held"] == ["JournalDamage"]
-    assert files(state) == before, "it is left as it is, for whoever mends it"
+    assert files(state) == before, "the file is unchanged, for repair"
     assert last_ending(state)["reason"].startswith("JournalDamage: ")
 
 

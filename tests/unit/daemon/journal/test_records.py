@@ -15,7 +15,7 @@ from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import PolishdError, WrongSeat
 from polishd.model.events import PlanWritten
 from polishd.model.states import CyclePhase, Outcome
-from tests.unit.daemon.small import told_phases
+from tests.unit.daemon.small import recorded_phases
 
 
 def opened(state_dir: Path, job: str = "job", **terms: Any) -> Journal:
@@ -171,7 +171,7 @@ async def test_a_run_folder_and_an_outcome_and_the_end_of_a_phase_are_of_their_o
         async with journal.phase(0, CyclePhase.MEASURE):
             async with journal.phase(0, CyclePhase.SOLVE):
                 pass
-            assert told_phases(journal) == [(0, "measure", None, None), (0, "solve", "done", None)]
+            assert recorded_phases(journal) == [(0, "measure", None, None), (0, "solve", "done", None)]
         journal.record_outcome(Outcome.DIVERGED)
         rows = journal.store.read("SELECT name, run_dir, outcome, detail, ended IS NULL FROM job ORDER BY id")
     assert rows == [("one", str(tmp_path / "one"), "stalled", "", 0), ("two", str(tmp_path / "two"), "diverged", "", 0)]
@@ -188,7 +188,7 @@ async def test_a_phase_that_is_not_gone_on_with_was_cancelled(journal: Journal) 
     working = work()
     await anext(working)
     await working.aclose()  # type: ignore[attr-defined]
-    assert told_phases(journal) == [(1, "solve", "cancelled", "GeneratorExit: ")]
+    assert recorded_phases(journal) == [(1, "solve", "cancelled", "GeneratorExit: ")]
 
 
 async def test_what_ended_a_phase_is_reported_before_the_loss_of_the_journal(

@@ -226,7 +226,7 @@ class People:
         self.failed = threading.Semaphore(0)
         self.came = threading.Semaphore(0)
 
-    def hear(self, notification: Notification) -> None:
+    def receive(self, notification: Notification) -> None:
         self.called.release()
         if self.deaf:
             raise OSError("no answer")
@@ -245,18 +245,18 @@ def people() -> People:
 
 @pytest.fixture
 def notification(tmp_path: Path, site: Site) -> Notification:
-    """Of a cell that is held."""
-    heard: list[Notification] = []
+    """Return the notification of a cell that is held."""
+    taken: list[Notification] = []
     teller = Notifications(site.config, KNOWN)
-    teller._senders = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
+    teller._senders = (type("Ear", (), {"take": taken.append, "notifier": notifier(taken.append)}),)  # type: ignore[assignment]
     teller.on_event(HELD)
-    return heard[0]
+    return taken[0]
 
 
 @pytest.fixture
 def sending(tmp_path: Path, people: People) -> Iterator[NotificationSender]:
-    """A sender to those people."""
-    found = NotificationSender(notifier(people.hear), tmp_path, people.fail)
+    """Start a sender to those people."""
+    found = NotificationSender(notifier(people.receive), tmp_path, people.fail)
     found.start()
     yield found
     found.end(time.monotonic())
@@ -280,7 +280,7 @@ def test_what_is_less_severe_than_wanted_is_not_sent(
     tmp_path: Path, people: People, notification: Notification
 ) -> None:
     people.deaf = False
-    sending = NotificationSender(notifier(people.hear, least=Severity.ALARM), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.receive, least=Severity.ALARM), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     sending.end(time.monotonic() + SOON_S)
@@ -327,7 +327,7 @@ def test_one_that_never_comes_back_is_reported_and_not_called_again_until_it_doe
 
     def hangs(one: Notification) -> None:
         assert back.wait(SOON_S)
-        people.hear(one)
+        people.receive(one)
 
     people.deaf = False
     sending = NotificationSender(notifier(hangs), tmp_path, people.fail)
@@ -365,7 +365,7 @@ def test_what_cannot_be_read_is_logged_and_the_sender_works(
     path.parent.mkdir()
     path.write_text('{"waiting": [')
     people.deaf = False
-    sending = NotificationSender(notifier(people.hear), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.receive), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.came.acquire(timeout=SOON_S)
@@ -379,7 +379,7 @@ def test_a_folder_that_takes_nothing_is_logged_and_the_sender_works(
 ) -> None:
     outbox_path(tmp_path, "pager").parent.write_text("in the way")
     people.deaf = False
-    sending = NotificationSender(notifier(people.hear), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.receive), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.came.acquire(timeout=SOON_S)
@@ -393,7 +393,7 @@ def test_what_is_given_up_is_in_the_log_with_all_its_words(
     caplog: pytest.LogCaptureFixture,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(sender, "KEPT_S", -1e6)
-    sending = NotificationSender(notifier(people.hear), tmp_path, people.fail)
+    sending = NotificationSender(notifier(people.receive), tmp_path, people.fail)
     sending.start()
     sending.take(notification)
     assert people.failed.acquire(timeout=SOON_S)
@@ -411,13 +411,13 @@ async def test_two_broken_notifiers_report_each_other_once(site: Site, people: P
     teller = Notifications(site.config, KNOWN)
     failed = threading.Semaphore(0)
 
-    def tell(event: Event) -> None:
+    def on_failure(event: Event) -> None:
         people.failures.append(event)  # type: ignore[arg-type]
         teller.on_event(event)  # as the bus does
         failed.release()
 
     site.config.state_dir.mkdir()
-    teller.start([notifier(people.hear, name) for name in ("a", "b")], tell)
+    teller.start([notifier(people.receive, name) for name in ("a", "b")], on_failure)
     teller.on_event(HELD)
     for _ in range(2):
         assert failed.acquire(timeout=SOON_S)
@@ -429,16 +429,16 @@ async def test_two_broken_notifiers_report_each_other_once(site: Site, people: P
 
 
 def test_what_is_known_of_the_job_is_what_events_said_last(site: Site) -> None:
-    heard: list[Notification] = []
+    taken: list[Notification] = []
     teller = Notifications(site.config, KNOWN)
-    teller._senders = (type("Ear", (), {"take": heard.append, "notifier": notifier(heard.append)}),)  # type: ignore[assignment]
+    teller._senders = (type("Ear", (), {"take": taken.append, "notifier": notifier(taken.append)}),)  # type: ignore[assignment]
     teller.on_event(HELD)
     teller.on_event(
         MapMeasured(stats=SurfaceStats(rms_nm=1, pv_nm=2, lsf_rms_nm=1), spikes=0, notes=(), run_dir="after")
     )
     teller.on_event(HELD)
-    assert [one.run_dir for one in heard] == ["before", "after"]
-    assert heard[0].todo == f"polishd resume {site.path} goes on"
+    assert [one.run_dir for one in taken] == ["before", "after"]
+    assert taken[0].todo == f"polishd resume {site.path} goes on"
 
 
 DEAF = CellSafety(tool_off="not confirmed", robot_at_rest="yes", unsafe=("actuator: deaf",), next="look")
@@ -479,7 +479,7 @@ async def test_trying_it_out_tells_how_each_went(site: Site, people: People, mon
         assert back.wait(SOON_S)
 
     monkeypatch.setattr(sender.Attempt, "left_s", lambda attempt: 0.05 if attempt._send is hangs else SOON_S)
-    notifiers = [notifier(received.append), notifier(people.hear, "deaf"), notifier(hangs, "hung")]
+    notifiers = [notifier(received.append), notifier(people.receive, "deaf"), notifier(hangs, "hung")]
     found = try_out(site.config, notifiers)
     back.set()
     assert [one["error"] for one in found] == ["", "OSError: no answer", sender.HUNG]

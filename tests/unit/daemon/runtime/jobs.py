@@ -39,7 +39,7 @@ def forever() -> None:
 
 
 def burn(seconds: float) -> int:
-    """So many seconds of CPU time, not of wall time."""
+    """Use this many seconds of CPU time, not of wall time."""
     until = time.process_time() + seconds
     while time.process_time() < until:
         pass

@@ -219,7 +219,7 @@ def test_a_full_disk_does_not_prevent_the_end_and_no_older_record_stays(
     monkeypatch.setattr("polishd.daemon.runtime.events.write_atomic", full)
     record_exit(tmp_path, {"state": "failed", "reason": "x"})
     assert f"{tmp_path / RECORD_NAME} cannot be written" in caplog.text
-    assert last_ending(tmp_path)["state"] == "unknown", "it would tell what is no longer so"
+    assert last_ending(tmp_path)["state"] == "unknown", "an older record would be out of date"
     record_exit(tmp_path, {"state": "failed", "reason": "x"})
 
 

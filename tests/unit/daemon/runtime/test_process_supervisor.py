@@ -34,8 +34,8 @@ class Systemd:
         self._socket.bind("\0" + address[1:] if address.startswith("@") else address)
         self.environment = {"NOTIFY_SOCKET": address, **environment}
 
-    def heard(self) -> list[str]:
-        """Since the last time."""
+    def received(self) -> list[str]:
+        """Return the messages since the last call."""
         found = []
         try:
             while True:
@@ -63,10 +63,10 @@ def test_ready_is_said_once_when_the_last_cell_has_spoken(systemd: Systemd) -> N
     left(CellOpened(devices={}))
     left(StateChanged(state="starting", reason="", standing=NOT_ASKED))
     left(StateChanged(state="held", reason="late\nmap", standing=NOT_ASKED))
-    assert systemd.heard() == ["STATUS=left: starting", "STATUS=left: held: late map"]
+    assert systemd.received() == ["STATUS=left: starting", "STATUS=left: held: late map"]
     right(StateChanged(state="starting", reason="", standing=NOT_ASKED))
     supervisor.stopping()
-    assert systemd.heard() == ["READY=1\nSTATUS=left: held: late map; right: starting", "STOPPING=1"]
+    assert systemd.received() == ["READY=1\nSTATUS=left: held: late map; right: starting", "STOPPING=1"]
 
 
 async def test_the_watchdog_is_fed_only_while_all_is_written(systemd: Systemd) -> None:
@@ -83,7 +83,7 @@ async def test_the_watchdog_is_fed_only_while_all_is_written(systemd: Systemd) -
     await enough.wait()
     feeding.cancel()
     assert asked == [0.02] * 4
-    assert systemd.heard() == ["WATCHDOG=1"] * 2
+    assert systemd.received() == ["WATCHDOG=1"] * 2
 
 
 @pytest.mark.parametrize("environment", [{}, {"WATCHDOG_USEC": "40000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "x"}])
@@ -107,15 +107,15 @@ async def test_a_run_tells_its_supervisor_what_it_does(
         await site.in_contact()
         os.kill(os.getpid(), signal.SIGTERM)
     assert task.result()["outcome"] == "stopped"
-    heard = systemd.heard()
-    said = [text for text in heard if text != "WATCHDOG=1"]
+    received = systemd.received()
+    said = [text for text in received if text != "WATCHDOG=1"]
     assert said == [
         "READY=1\nSTATUS=bench (cell.toml): starting",
         "STATUS=bench (cell.toml): polishing",
         "STOPPING=1",
         "STATUS=bench (cell.toml): finished: stopped",
     ]
-    assert "WATCHDOG=1" in heard
+    assert "WATCHDOG=1" in received
 
 
 def test_no_cell_lives_whose_journal_waits_for_its_disk() -> None:

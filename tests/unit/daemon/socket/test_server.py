@@ -193,7 +193,7 @@ async def test_a_silent_daemon_is_reported(daemon: Path) -> None:
 
 
 async def test_subscribers_receive_events(daemon: Path, bus: EventBus) -> None:
-    heard = [asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon)))) for _ in range(2)]
+    received = [asyncio.create_task(asyncio.to_thread(lambda: list(subscribe(daemon)))) for _ in range(2)]
     await until_subscribed(bus, 2)
     bus.publish(PassEnded(cycle=1, executed_s=2.5))
     bus.publish(CellHeld(error="cut", kind="LinkError"))
@@ -202,7 +202,7 @@ async def test_subscribers_receive_events(daemon: Path, bus: EventBus) -> None:
         {"name": "pass_ended", "cycle": 1, "data": {"executed_s": 2.5}},
         {"name": "cell_held", "cycle": None, "data": {"error": "cut", "kind": "LinkError"}},
     ]
-    assert await asyncio.gather(*heard) == [expected, expected]
+    assert await asyncio.gather(*received) == [expected, expected]
 
 
 async def test_a_subscriber_that_hangs_up_is_forgotten(daemon: Path, bus: EventBus) -> None:

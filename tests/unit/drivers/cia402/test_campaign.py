@@ -97,7 +97,7 @@ class NastyDrive:
 
 
 async def ask_for_ever(drive: NastyDrive, replies: int) -> Counter[str]:
-    """Read one object after the other, open again what is lost; what came of it."""
+    """Read one object after the other and reopen after a loss; return the outcomes."""
     dictionary, outcomes = read_dictionary(EDS, NODE), Counter[str]()
     kinds = itertools.cycle(ASKED)
     while sum(drive.replies.values()) < replies:
@@ -147,7 +147,7 @@ def campaign(monkeypatch: pytest.MonkeyPatch, replies: int) -> tuple[Counter[str
     return drive.replies, outcomes
 
 
-def require_all_told_apart(replies: Counter[str], outcomes: Counter[str]) -> None:
+def require_all_distinguished(replies: Counter[str], outcomes: Counter[str]) -> None:
     assert min(replies.values()) > 0
     assert outcomes["value"] > 0.9 * (replies["good"] + replies["malformed"] + replies["doubled"])
     assert outcomes["refused"] > 0.9 * (replies["refused"] + replies["short"])
@@ -155,7 +155,7 @@ def require_all_told_apart(replies: Counter[str], outcomes: Counter[str]) -> Non
 
 
 def test_no_reply_is_taken_for_a_value_that_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    require_all_told_apart(*campaign(monkeypatch, 3_000))
+    require_all_distinguished(*campaign(monkeypatch, 3_000))
 
 
 def objects_alive() -> int:
@@ -169,7 +169,7 @@ def test_of_a_million_replies_none_is_taken_for_a_value_that_is_none(monkeypatch
     campaign(monkeypatch, 10_000)
     before = objects_alive()
     replies, outcomes = campaign(monkeypatch, 1_000_000)
-    require_all_told_apart(replies, outcomes)
+    require_all_distinguished(replies, outcomes)
     assert objects_alive() - before < 1_000
 
 
@@ -178,8 +178,8 @@ def descriptors() -> int:
 
 
 @pytest.fixture
-def nasty() -> Iterator[Callable[[Frame], list[Frame]]]:
-    """Three broken frames before each answer, and its double after it."""
+def faulty() -> Iterator[Callable[[Frame], list[Frame]]]:
+    """Send three damaged frames before each answer and a copy after it."""
     shuffler = NastyDrive(16, VirtualLoop())
 
     def broken(frame: Frame) -> list[Frame]:
@@ -192,7 +192,7 @@ def nasty() -> Iterator[Callable[[Frame], list[Frame]]]:
 
 
 @pytest.mark.full
-async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Callable[[Frame], list[Frame]]) -> None:
+async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, faulty: Callable[[Frame], list[Frame]]) -> None:
     drive, _motor = sim_motor()
     wire = PtyWire(SlcanPeer(drive), tmp_path / "can")
     device = cia402_spindle(SlcanAddress(wire.path), SpindleTimes(silence_s=5.0, watchdog_s=5.0))
@@ -200,7 +200,7 @@ async def test_two_thousand_broken_replies_on_a_wire(tmp_path: Path, nasty: Call
 
     def broken(frame: Frame) -> list[Frame]:
         nonlocal treated_count
-        treated = nasty(frame)
+        treated = faulty(frame)
         treated_count += len(treated) - 1
         return treated
 

@@ -307,7 +307,7 @@ async def test_silent_heartbeats_are_a_lost_link_though_the_drive_answers(spin: 
     drive.treat = dropping(0x705)
     with pytest.raises(LinkError, match=r"no heartbeat for 1.5 s"):
         await watch(device)
-    await seen(lambda: motor.rpm == 0.0)  # for it hears none of ours either
+    await seen(lambda: motor.rpm == 0.0)  # because it receives no heartbeat either
     assert drive.events == ["watchdog"]
     drive.treat = lambda frame: [frame]
     await device.make_safe()

@@ -48,7 +48,7 @@ def test_what_we_send_is_the_vectors() -> None:
 
 
 def test_received_frames_are_the_vectors() -> None:
-    heard = {
+    received = {
         "heartbeat": NodeHeartbeat(NodeState.OPERATIONAL),
         "boot": NodeHeartbeat(NodeState.BOOT),
         "status_word_enabled": SdoValue(STATUS, b"\x37\x06", sized=True),
@@ -57,7 +57,7 @@ def test_received_frames_are_the_vectors() -> None:
         "emergency_heartbeat": EmergencyMessage(0x8130, 0x11),
         "emergency_over": EmergencyMessage(0, 0),
     }
-    for name, message in heard.items():
+    for name, message in received.items():
         assert protocol.decode(5, frame(name)) == message
         assert protocol.decode(6, frame(name)) is None
 

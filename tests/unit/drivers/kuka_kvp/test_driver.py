@@ -54,7 +54,7 @@ async def executed(robot: KukaRobot, count: int) -> int:
 
 async def until(condition: Callable[[], Any]) -> None:
     async with asyncio.timeout(20.0):
-        while not condition():  # noqa: ASYNC110 -- the machine tells nobody
+        while not condition():  # noqa: ASYNC110 -- the machine sends no event
             await asyncio.sleep(0.01)
 
 

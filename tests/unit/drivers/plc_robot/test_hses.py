@@ -150,7 +150,7 @@ class Linked:
         return sum(struct.unpack_from("<H", datagram, 24)[0] == command for datagram in self.served.asked)
 
     def loses(self, command: int, count: int, *, request: bool = False) -> None:
-        """Lose so many of its answers, or requests."""
+        """Drop this number of answers or requests."""
         left = [count]
 
         def pass_on(asked: Callable[[], bytes]) -> Callable[[bytes], list[bytes]]:

@@ -234,7 +234,7 @@ DWELLS = (0.5, 0.8)
 
 
 def through(watch: PlcProgramTracker, lag: int, seconds: tuple[float, float] = DWELLS) -> None:
-    """Two moves of 0.3 s, the dwells, the pause; the line runs ahead of the motion by so many."""
+    """Two moves of 0.3 s, the dwells, the pause; the line runs ahead of the motion by this number."""
     ends = np.cumsum([0.3, 0.3, *seconds])
     for step in range(1, int((ends[-1] + 0.3) / 0.05)):
         at = step * 0.05

@@ -62,13 +62,15 @@ async def polished(robot: PlcRobot) -> list[ExecutedBlock]:
         await robot.close()
 
 
-def written(path: Path, heard: Sequence[WireMessage]) -> Path:
-    path.write_bytes(header_line("0", "cell", "", {}) + b"".join(passed_line(one, heard[0].at_s) for one in heard))
+def written(path: Path, messages: Sequence[WireMessage]) -> Path:
+    path.write_bytes(
+        header_line("0", "cell", "", {}) + b"".join(passed_line(one, messages[0].at_s) for one in messages)
+    )
     return path
 
 
 async def played(path: Path, act: Callable[[RecordedController, Replayed], Awaitable[None]]) -> None:
-    """An act that ends the link, as the driver hears it."""
+    """Replay a recording; the action must end the link with an error of the driver."""
     async with replayed_controller(path, "robot") as plc:
         link = plc.variables()
         await link.open()
@@ -77,8 +79,8 @@ async def played(path: Path, act: Callable[[RecordedController, Replayed], Await
 
 
 async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
-    with record_received(heard.append), record_sent("robot"):
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(messages.append), record_sent("robot"):
         link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
         await link.open()
         read = await link.read()
@@ -87,9 +89,9 @@ async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
         with pytest.raises(LinkError):
             await link.read()
         await link.close()
-    assert [one.way for one in heard] == ["open", "in", "out", "end"], "an end is recorded once"
-    assert heard[-1].why
-    path = written(tmp_path / "case.jsonl", heard)
+    assert [one.way for one in messages] == ["open", "in", "out", "end"], "an end is recorded once"
+    assert messages[-1].why
+    path = written(tmp_path / "case.jsonl", messages)
     found = read_recording(path)
     assert [one.values for one in found.passed] == [None, read.values, {"hold": False, "heartbeat": 41}, None]
     assert found.passed[1].clock_s == read.time_s
@@ -108,15 +110,15 @@ async def test_values_are_recorded_and_read_again(tmp_path: Path) -> None:
 
 
 async def test_a_case_is_played_to_its_driver(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
-    with record_received(heard.append):
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(messages.append):
         async with cycling(fake):
             executed = await polished(recorded(fake, Folder(tmp_path)))
-    files = [one for one in heard if one.link == "ftp://plc/programs"]
+    files = [one for one in messages if one.link == "ftp://plc/programs"]
     assert [(one.role, one.way) for one in files] == [("robot", "open"), ("robot", "out"), ("robot", "end")]
     assert files[1].values is not None
     assert files[1].values["bytes"] == (tmp_path / str(files[1].values["file"])).stat().st_size
-    path = written(tmp_path / "case.jsonl", heard)
+    path = written(tmp_path / "case.jsonl", messages)
     async with replayed_controller(path, "robot") as plc:
         again = await polished(PlcRobot("test PLC", PROFILE, plc.variables, plc))
     assert [one.seq for one in again] == [one.seq for one in executed] == list(range(BLOCKS))
@@ -124,15 +126,15 @@ async def test_a_case_is_played_to_its_driver(tmp_path: Path) -> None:
 
 
 async def test_a_slower_machine_s_heartbeat_may_come_sooner_than_the_first_that_was_recorded(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
-    with record_received(heard.append), record_sent("robot"):
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(messages.append), record_sent("robot"):
         link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
         await link.open()
         await link.read()
         await link.write({"load": True})
         await link.write({"heartbeat": 1})
         await link.close()
-    async with replayed_controller(written(tmp_path / "case.jsonl", heard), "robot") as plc:
+    async with replayed_controller(written(tmp_path / "case.jsonl", messages), "robot") as plc:
         again = plc.variables()
         with pytest.raises(LinkError, match="is not open"):
             await again.write({"heartbeat": 1})
@@ -143,16 +145,16 @@ async def test_a_slower_machine_s_heartbeat_may_come_sooner_than_the_first_that_
 
 
 async def test_an_order_may_be_taken_back_sooner_than_then(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
     orders = [{"reset": True}, {"hold": True}, {"reset": False}, {"load": True}]
-    with record_received(heard.append), record_sent("robot"):
+    with record_received(messages.append), record_sent("robot"):
         link = Recorded(Direct(fake), LINK, RecordedDelivery(Folder(tmp_path), FOLDER))
         await link.open()
         for values in orders:
             await link.read()
             await link.write(values)
         await link.close()
-    path = written(tmp_path / "case.jsonl", heard)
+    path = written(tmp_path / "case.jsonl", messages)
     async with replayed_controller(path, "robot") as plc:
         again = plc.variables()
         await again.open()
@@ -164,11 +166,11 @@ async def test_an_order_may_be_taken_back_sooner_than_then(tmp_path: Path) -> No
 
 
 async def test_an_order_that_is_not_recorded_ends_the_link_and_the_block(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
-    with record_received(heard.append):
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(messages.append):
         async with cycling(fake):
             await polished(recorded(fake, Folder(tmp_path)))
-    path = written(tmp_path / "case.jsonl", heard)
+    path = written(tmp_path / "case.jsonl", messages)
     with pytest.raises(
         AssertionError, match=r"^case.jsonl, robot on opc.tcp://plc:4840: the driver sent .*\(line \d+\)$"
     ):
@@ -178,12 +180,12 @@ async def test_an_order_that_is_not_recorded_ends_the_link_and_the_block(tmp_pat
 
 
 async def test_a_file_that_was_refused_is_refused_again(tmp_path: Path) -> None:
-    fake, heard = FakePlc(tmp_path), list[WireMessage]()
-    with record_received(heard.append):
+    fake, messages = FakePlc(tmp_path), list[WireMessage]()
+    with record_received(messages.append):
         async with cycling(fake):
             with pytest.raises(DeviceRefused, match="no space left"):
                 await polished(recorded(fake, Refuses()))
-    path = written(tmp_path / "case.jsonl", heard)
+    path = written(tmp_path / "case.jsonl", messages)
     async with replayed_controller(path, "robot") as plc:
         with pytest.raises(DeviceRefused, match="no space left"):
             await polished(PlcRobot("test PLC", PROFILE, plc.variables, plc))

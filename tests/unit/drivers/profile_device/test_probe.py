@@ -66,7 +66,7 @@ async def test_the_wrong_baud_rate(bench: Bench) -> None:
 
 
 async def test_the_wrong_parity(bench: Bench) -> None:
-    bench.peer.silent = True  # a terminal has no parity: a device that hears none it understands is silent
+    bench.peer.silent = True  # a terminal has no parity: a device that receives nothing valid is silent
     assert "no answer within 0.8 s at 9600 8E1" in await bench.message(bench.spindle(parity="even"))
 
 

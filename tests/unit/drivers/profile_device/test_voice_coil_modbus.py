@@ -52,13 +52,13 @@ def sealed(body: bytes) -> bytes:
 
 
 async def test_requests_are_the_vectors(rig: Rig) -> None:
-    heard: list[bytes] = []
+    received: list[bytes] = []
     answer = rig.peer.on_bytes
-    rig.peer.on_bytes = lambda data: (heard.append(data), answer(data))[1]  # type: ignore[method-assign]
+    rig.peer.on_bytes = lambda data: (received.append(data), answer(data))[1]  # type: ignore[method-assign]
     await rig.wire.order("force", 12.0)
     await rig.wire.read(POLLED)
     lines = vectors("voice_coil_modbus")
-    assert b"".join(heard).hex() == lines["write_setpoint"] + lines["read_inputs"]
+    assert b"".join(received).hex() == lines["write_setpoint"] + lines["read_inputs"]
 
 
 async def test_the_answer_vector_is_read(rig: Rig) -> None:

@@ -1,4 +1,4 @@
-"""The ASCII driver: numbers tell answers apart, and nothing broken is believed."""
+"""The ASCII driver: numbers distinguish answers, and damaged ones are refused."""
 
 from __future__ import annotations
 

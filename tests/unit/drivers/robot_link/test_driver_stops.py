@@ -90,7 +90,7 @@ async def test_a_hold_from_elsewhere_makes_a_resume_stale(pair: Pair) -> None:
     robot, fake = pair
     await robot.prepare(PLAN)
     await robot.send(PLAN.segments[:40])
-    fake.say_all = lambda kind, payload: None  # type: ignore[method-assign]  # so that the writer does not hear of it
+    fake.say_all = lambda kind, payload: None  # type: ignore[method-assign]  # so that the writer does not learn of it
     reader = RobotLink(Tcp("127.0.0.1", fake.port), role="reader")
     await reader.make_safe()
     with pytest.raises(DeviceRefused, match="stale"):

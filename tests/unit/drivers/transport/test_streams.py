@@ -20,14 +20,14 @@ from tests.patience import within
 
 
 class Recorder(Peer):
-    """Keeps what it hears."""
+    """Peer that keeps the bytes that it receives."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.heard = b""
+        self.received = b""
 
     def on_bytes(self, data: bytes) -> None:
-        self.heard += data
+        self.received += data
 
 
 Ends = tuple[ByteStream, PtyWire | TcpWire, Recorder]
@@ -53,7 +53,7 @@ async def ends(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[
 async def test_bytes_go_both_ways(ends: Ends) -> None:
     stream, _, peer = ends
     await stream.write(b"there")
-    while peer.heard != b"there":  # noqa: ASYNC110
+    while peer.received != b"there":  # noqa: ASYNC110
         await asyncio.sleep(0.001)
     peer.send(b"and back")
     assert await stream.read(3, 1.0) == b"and"

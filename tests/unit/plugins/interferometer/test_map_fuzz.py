@@ -57,7 +57,7 @@ def read_broken(reader: SurfaceReader, path: Path) -> SurfaceMap | None:
 
 
 def fuzz(name: str, part: int, count: int, folder: Path, measure_every: int) -> int:
-    """Read so many broken files of a format; how many of them were still maps."""
+    """Read damaged files of a format and return how many of them are still maps."""
     rng = np.random.default_rng([zlib.crc32(name.encode()), part])
     reader = next(reader for reader in READERS if reader.name == name)
     for file_name, valid in VARIANTS[name]:  # what is imported and cached once is not counted

@@ -52,7 +52,7 @@ class Daemon:
         self.now_s = 0.0
 
     def poll(self, times: int = 4) -> SurfaceMap | None:
-        """So many polls, half a second apart, or until there is a map; it is in the daemon's hands then."""
+        """Poll a number of times, half a second apart, or until a map is claimed."""
         for _ in range(times):
             self.now_s += 0.5
             found = self.device._poll(self.wait, self.now_s)

@@ -27,7 +27,7 @@ PIECE = 97
 
 
 def run_with(patch: pytest.MonkeyPatch, size: int, piece: int) -> None:
-    """NC text is read by compiled code from ``size`` bytes on, in pieces of so many bytes."""
+    """Compiled code reads NC text from ``size`` bytes on, in pieces of a given size."""
     patch.setattr(jit, "LARGE_BYTES", size)
     patch.setattr(rewrite, "PIECE_BYTES", piece)
 
@@ -179,7 +179,7 @@ def same(one: Program | str, other: Program | str) -> None:
 
 
 def campaign(name: str, lines: int, seed: int, patch: pytest.MonkeyPatch) -> tuple[int, int]:
-    """Programs read and refused in so many lines."""
+    """Number of programs read and refused, for a number of lines."""
     rng = Random(f"{name} {seed}")
     counts = [0, 0]
     while lines > 0:

@@ -95,7 +95,7 @@ def test_newton_cg_comes_within_a_hundredth_where_p_is_moderate(shared_data: Pat
 
 
 def figures(problem: DwellProblem, time_s: FloatArray) -> tuple[float, float]:
-    """RMS and total time of anybody's dwell."""
+    """Return RMS and total time of a dwell."""
     return float((problem.target_nm - problem.effect.removal_nm(time_s)).std()), float(time_s.sum())
 
 

@@ -1,4 +1,4 @@
-"""What identification says where a pass cannot tell, which extensions it takes, and what is done about them."""
+"""Reports of identification for an inconclusive pass, the extensions that it adopts, and their consequences."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def machine(known: PriorKnowledge, seed: int) -> Mapping[str, float]:
 
 
 def in_use(known: PriorKnowledge, truth: Mapping[str, float], hours: float, seed: int) -> Mapping[str, float]:
-    """The machine so many hours of contact later: worn, and walked at random (docs/explanation/identification.md)."""
+    """Return the machine after hours of contact: worn, and with a random walk (docs/explanation/identification.md)."""
     rng = np.random.default_rng([seed, 1])
     after = {p.name: truth[p.name] + float(rng.normal()) * p.use * hours**0.5 for p in known.parameters}
     return {**after, "rate": after["rate"] - hours * truth.get("wear", 0.0)}
@@ -115,7 +115,7 @@ class Held:
 def stated(
     machines: int, known: PriorKnowledge, drawn: Callable[[PriorKnowledge, int], Mapping[str, float]]
 ) -> tuple[Held, int]:
-    """What is stated of so many machines whose touch needs no person, and how many touches that took.
+    """Return the statements about machines whose touch needs no operator, and the number of touches.
 
     What is stated of the rate is compared with what an even pass removes after the touch's contact, for which machines
     walk and wear as is reckoned with. Notes are read as they are printed, those of touches that stop, too.

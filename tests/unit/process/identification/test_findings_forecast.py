@@ -58,7 +58,7 @@ def test_nine_of_ten_come_between(rate_sigma: float, share: float) -> None:
         after = true - (1 + rate_sigma * rng.standard_normal()) * removal - odd
         came = float((after + NOISE_NM * rng.standard_normal(true.size)).std())
         held += cast.low_nm <= came <= cast.high_nm
-    assert 0.82 <= held / 300 <= 0.97, f"{held} of 300: 90 % are to, and 300 tell 90 from 82"
+    assert 0.82 <= held / 300 <= 0.97, f"{held} of 300: 90 % are expected, and 300 distinguish 90 from 82"
 
 
 def test_a_known_machine_has_a_narrow_forecast_and_an_unknown_one_a_wide() -> None:

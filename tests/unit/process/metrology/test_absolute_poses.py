@@ -1,4 +1,4 @@
-"""What poses tell, against what is known of such sets (Evans, Kestner 1996): from the null space, not from a table."""
+"""What poses determine, from the null space, against the literature on such sets (Evans, Kestner 1996)."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ def test_maps_that_cannot_be_distinguished_are_refused() -> None:
 
 
 def test_little_in_common_needs_the_noise() -> None:
-    """Of 0 and 37 deg up to order 4 only power and spherical are in both maps: two equations tell no noise."""
+    """At 0 and 37 deg up to order 4 both maps share only power and spherical: two equations leave the noise open."""
     poses = [PartPose(0), PartPose(37)]
     with pytest.raises(MapError, match="nothing in common to tell their noise"):
         separate_instrument(maps(poses), poses, PITCH_MM, degree=4)

@@ -206,7 +206,7 @@ def test_the_same_seed_gives_the_same_bound() -> None:
 
 @pytest.mark.slow
 def test_any_figure_has_a_bound() -> None:
-    """RMS by whole maps is RMS by terms; the PV's share below its bound is as said, within what 100 draws tell."""
+    """RMS by maps is RMS by terms; the PV's share below its bound is as stated, within the scatter of 100 draws."""
     given = CASES["all"]
     true, measured = draw(2, *given)
     by_terms = true_rms_bound(measured, MASK, PITCH, errors(*given))

@@ -1,4 +1,4 @@
-"""Zernike terms: named as elsewhere, recovered on any mask, refused where the mask does not tell them apart."""
+"""Zernike terms: standard names, recovered on any mask, refused where the mask does not separate them."""
 
 from __future__ import annotations
 

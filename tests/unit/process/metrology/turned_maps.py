@@ -66,5 +66,5 @@ def rms_nm(height_nm: FloatArray, inside: float = 0.95, *, without: Sequence[Sha
 
 
 def turns(count: int) -> list[PartPose]:
-    """So many equal ones."""
+    """Return this number of equal maps."""
     return [PartPose(360 * k / count) for k in range(count)]

@@ -41,7 +41,7 @@ def beside_a_flat(optic: Optic, place: FloatArray = CENTRE) -> CurvedContact:
 
 
 def cells(values: FloatArray, side: int) -> FloatArray:
-    """Means over so many squares each way."""
+    """Return the means over squares of this number of pixels each way."""
     n = len(values) // side
     return np.asarray(values.reshape(n, side, n, side).mean(axis=(1, 3)))
 

@@ -59,7 +59,7 @@ def test_a_tenth_slower_everywhere_is_a_tenth_of_the_plan_everywhere(slow: float
 
 
 def test_what_one_point_took_too_long_the_next_may_take_less() -> None:
-    """Reports tell when a block ended a little late: over 1260 points that is hardly more than of one of them."""
+    """Reports of a block's end come a little late: over 1260 points the sum is hardly more than for one of them."""
     found, late_s = excess_map(floor_nm=1.0), 0.029
     for point in range(found.n):
         found.add(point, late_s if point % 2 else -late_s)

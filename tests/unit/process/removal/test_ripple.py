@@ -78,7 +78,7 @@ class Lines:
 def direct_nm(
     blocks: PathBlocks, time_s: FloatArray, scale: float, half_mm: float, pieces: int = 24
 ) -> tuple[FloatArray, FloatArray]:
-    """Places (m,) and removal (m, m), rows with y: the rate at each place, of so many positions a block, summed."""
+    """Return places (m,) and removal (m, m), rows with y: the sum of the rate at each place over the positions."""
     side = 2 * int(np.ceil(half_mm / (RADIUS_MM / 20))) + 1
     at = np.linspace(-half_mm, half_mm, side)
     height = np.zeros((side, side))
@@ -551,7 +551,7 @@ def test_lines_out_of_place_leave_less_where_as_many_cross() -> None:
     errors = PathErrors(0.0, 0.06)
     crossed = ripple_of(ActingSpots(HertzSpot(PROCESS), half[0]), half[1], GRID, clear(), errors=errors)
     one_way = by_cause(with_errors(Lines(1.5), errors), "line_error")[0].rms_high_nm
-    lines = 2 * CLEAR_MM / 1.5 * np.array([1.0, 2.0])  # of so many, the mean square scatters less
+    lines = 2 * CLEAR_MM / 1.5 * np.array([1.0, 2.0])  # more lines: the mean square scatters less
     sure = np.sqrt(chi2.ppf(0.95, lines) / lines)
     expected = one_way / 2**0.5 * sure[1] / sure[0]
     assert by_cause(crossed, "line_error")[0].rms_high_nm == pytest.approx(expected, rel=0.03)

@@ -96,7 +96,7 @@ def arm_cell(seed: int) -> ArmCell:
 
 
 REGULAR_HOME = 0.01
-"""Least ratio of the Jacobian's singular values at a home that anybody would choose."""
+"""Least ratio of the Jacobian's singular values at a sensible home pose."""
 MANY = 1_000_000
 PUMA_BY_CRAIG = 2
 KINDS = (

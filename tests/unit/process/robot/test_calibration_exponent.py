@@ -1,4 +1,4 @@
-"""The exponent of gamma, of spots that are made with one, against numpy's own fit, and of spans that cannot tell."""
+"""The exponent of gamma: of spots that are made with one, against numpy's fit, and of spans that are too short."""
 
 from __future__ import annotations
 

@@ -76,11 +76,11 @@ class Making:
         self.journal.record_map(cycle, surface.sha256, path, measured.facts(), "")
         self.folder.cycle(cycle).write(measured.files())
         facts = measured.facts()
-        told = {"stats": measured.stats, "judged": facts["judged"], "spikes": 0, "notes": list(measured.notes)}
-        self.journal.record_event(events.MapMeasured(cycle=cycle, run_dir=str(self.folder.path), **told))
+        values = {"stats": measured.stats, "judged": facts["judged"], "spikes": 0, "notes": list(measured.notes)}
+        self.journal.record_event(events.MapMeasured(cycle=cycle, run_dir=str(self.folder.path), **values))
 
     def polish(self, cycle: int, *, share: float = 1.0) -> None:
-        """A pass; below a share of 1 it is interrupted, with three blocks of which nobody knows."""
+        """Record a pass; below a share of 1 it is interrupted with three uncertain blocks."""
         program = b"G1 X%d\n" % cycle
         self.folder.cycle(cycle).bytes("program.rnc", program)
         certificate = facts_of(
@@ -106,23 +106,23 @@ class Making:
         self.size_nm /= BETTER
 
     def held(self, error: str) -> None:
-        """An error holds the cell, and a person lets it go on."""
+        """Record an error that holds the cell and the operator's ``resume``."""
         self.journal.record_event(events.CellHeld(error=error, kind="LinkError"))
         self.journal.record_event(events.CommandReceived(order="resume", reason="cable put back"))
 
     def end(self, outcome: Outcome = Outcome.IN_TOLERANCE, *, over: bool = True, **summary: Any) -> Path:
-        """Summary and the journal's copy."""
+        """Write the summary and the copy of the journal."""
         if over:
             self.journal.record_outcome(outcome)
         entries = cycle_entries(self.journal, several_tools=False)
-        told = {
+        ending = {
             "outcome": outcome.value,
             "job": "demo",
             "run_dir": str(self.folder.path),
             "notes": [],
             "version": "0.1.0",
         }
-        content = json.loads(as_json({**self.recipe.facts(), "cycles": entries, **told, **summary}))
+        content = json.loads(as_json({**self.recipe.facts(), "cycles": entries, **ending, **summary}))
         self.folder.json("summary.json", content)
         self.journal.copy_to(self.folder.path / "journal.sqlite")
         return self.folder.path

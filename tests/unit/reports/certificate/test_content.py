@@ -265,7 +265,7 @@ def test_what_is_known_of_the_instrument_is_reported(whole_content: Content) -> 
 
 
 def turned(polishd: Polishd, folder: Path, files: DemoFiles) -> None:
-    """The instrument's own error, told from four turns of a part."""
+    """The system error of the instrument, determined from four turns of a part."""
     error = np.where(np.isfinite(heights(0, 1.0)), 3.0 * np.indices((64, 64))[0] / 64.0 % 1.0, np.nan)
     maps = [dat(folder / f"p{k}.dat", np.rot90(heights(9, 5.0), k) + error) for k in range(4)]
     said = polishd("calibrate", "instrument", files.cell, *maps, "--angles", "0,90,180,270", "--json")

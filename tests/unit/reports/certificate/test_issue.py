@@ -133,8 +133,8 @@ def test_one_rms_of_each_surface(certified: Made) -> None:
     """Another figure of the same map, on the solver's grid, stood beside it once."""
     twin, text = json.loads(certified.twin.read_text()), squeezed(text_of(certified.pdf))
     whole = [f"{one['rms_nm']:.3f}" for one in twin["measurements"]]
-    told = set(re.findall(r"(?:the next map has|RMS) (\d+\.\d{3})\b", text))
-    assert told <= {*whole}, "in words, in the table of changes, and for each pass"
+    stated = set(re.findall(r"(?:the next map has|RMS) (\d+\.\d{3})\b", text))
+    assert stated <= {*whole}, "in words, in the table of changes, and for each pass"
     assert f"RMS {whole[0]} {whole[-1]}" in text
 
 

@@ -50,15 +50,15 @@ class Bench:
         axis = moved if isinstance(moved, Motor) else DrivenCoil(moved)
         self.node = Node(5, axis, lambda name, at_s, **_: self.log.append(name), 0.0)
 
-    def until(self, at_s: float, *, heard: bool = True) -> None:
-        """Let time pass; the controller's heartbeat comes with each tick or not at all."""
+    def until(self, at_s: float, *, has_heartbeat: bool = True) -> None:
+        """Advance the node; the controller's heartbeat comes with each tick or not at all."""
         while self.node.now_s < at_s - 1e-9:
-            if heard:
+            if has_heartbeat:
                 self.node.on_frame(*VECTORS["our_heartbeat"])
             self.sent += [(self.node.now_s, *each) for each in self.node.step(self.node.now_s + 0.01)]
 
     def write(self, index: int, value: int, sub: int = 0) -> int:
-        """Over SDO; the abort code, or 0."""
+        """Write an object over SDO and return the abort code, or 0."""
         size = SIZE[OBJECTS[index, sub][0]]
         data = value.to_bytes(size, "little", signed=value < 0)
         request = struct.pack("<BHB4s", 0x23 | (4 - size) << 2, index, sub, data)
@@ -74,7 +74,7 @@ class Bench:
             assert self.write(index, value) == 0
 
     def watch(self, option: int) -> None:
-        """As our drivers tell it."""
+        """Set watchdog reaction and heartbeat consumer as the drivers do."""
         assert self.write(0x6007, option) == 0
         assert self.write(0x1016, CONTROLLER << 16 | 500, 1) == 0
 
@@ -155,9 +155,9 @@ def test_its_reaction_to_silence_is_the_configured_one(option: int, ends: int) -
     bench.enable(3)
     bench.write(0x60FF, 5000)
     bench.until(1.0)
-    bench.until(1.45, heard=False)
+    bench.until(1.45, has_heartbeat=False)
     assert bench.emergencies() == []
-    bench.until(4.5, heard=False)
+    bench.until(4.5, has_heartbeat=False)
     assert bench.emergencies() == [(0x8130, 0x11)]
     assert bench.log[0] == "watchdog"
     assert bench.node.state == 0x7F
@@ -171,7 +171,7 @@ def test_a_controller_that_comes_back_ends_the_emergency_but_not_the_fault() -> 
     bench.watch(1)
     bench.until(0.1)
     bench.enable(3)
-    bench.until(1.0, heard=False)
+    bench.until(1.0, has_heartbeat=False)
     bench.until(1.2)
     assert bench.node.power.state == stage.FAULT
     assert bench.node.objects[0x603F] == 0x8130
@@ -235,7 +235,7 @@ def test_the_coil_presses_with_what_is_beyond_its_spring_and_a_spring_lifts_it()
     bench.until(1.0)
     assert coil.force_n == pytest.approx(12.0)
     assert bench.node.objects[0x6077] == pytest.approx(280, abs=15)
-    bench.until(2.0, heard=False)
+    bench.until(2.0, has_heartbeat=False)
     assert (coil.force_n, coil.position_um, bench.node.power.state) == (0.0, 0.0, stage.DISABLED)
 
 
@@ -273,8 +273,8 @@ def test_what_it_refuses(request_: str, code: int) -> None:
 @given(st.lists(st.one_of(st.binary(min_size=8, max_size=8), st.sampled_from([bytes.fromhex("80")]))))
 def test_any_request_is_survived(requests: list[bytes]) -> None:
     bench, _ = spindle()
-    hear: Callable[[int, bytes], list[tuple[int, bytes]]] = bench.node.on_frame
+    receive: Callable[[int, bytes], list[tuple[int, bytes]]] = bench.node.on_frame
     for request in requests:
         for identifier in (0x000, 0x605, 0x745):
-            hear(identifier, request)
+            receive(identifier, request)
         bench.node.step(bench.node.now_s + 0.1)

@@ -14,25 +14,25 @@ def test_slcan_lines() -> None:
 
 
 def test_slcan_adapter() -> None:
-    heard = []
-    host = SlcanHost(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
+    received = []
+    host = SlcanHost(lambda ident, data: received.append((ident, data)) or [(0x585, b"\x01")])
     assert host.feed(b"t2050\r") == b"\a"
     assert host.send([(0x705, b"\5")]) == b""
     assert host.feed(b"C\rS6\rO") == b"\r\r"
     assert host.feed(b"\r") == b"\r"
     assert host.feed(b"t205201ff\r") == b"z\rt585101\r"
-    assert heard == [(0x205, b"\x01\xff")]
+    assert received == [(0x205, b"\x01\xff")]
     assert host.send([(0x705, b"\5")]) == b"t705105\r"
     assert host.feed(b"V\rN\rF\rjunk\r") == b"V1013\rNSIM1\rF00\r\a"
 
 
 def test_socketcand_connection() -> None:
-    heard = []
-    host = SocketcandHost(lambda ident, data: heard.append((ident, data)) or [(0x585, b"\x01")])
+    received = []
+    host = SocketcandHost(lambda ident, data: received.append((ident, data)) or [(0x585, b"\x01")])
     assert host.feed(b"< open can0 >< raw") == b"< ok >"
     assert host.send([(0x705, b"\5")]) == b""
     assert host.feed(b"mode >") == b"< ok >"
     assert host.send([(0x705, b"\5")]) == b"< frame 705 0.000000 05 >"
     assert host.feed(b"< send 205 2 1 FF >") == b"< frame 585 0.000000 01 >"
-    assert heard == [(0x205, b"\x01\xff")]
+    assert received == [(0x205, b"\x01\xff")]
     assert host.feed(b"< send 205 3 1 FF >< dance >") == b"< error malformed frame >< error unknown command >"

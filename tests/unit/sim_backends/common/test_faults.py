@@ -268,13 +268,13 @@ async def test_a_frame_that_dribbles_comes_byte_by_byte() -> None:
 
 
 async def test_a_terminal_behind_a_stable_name(tmp_path: Path) -> None:
-    heard = asyncio.Queue()
-    port = PtyPort(tmp_path / "line", heard.put_nowait)
+    received = asyncio.Queue()
+    port = PtyPort(tmp_path / "line", received.put_nowait)
     port.open()
     try:
         host = os.open(tmp_path / "line", os.O_RDWR | os.O_NOCTTY)
         os.write(host, b"\x01\r\n\x04")
-        assert await asyncio.wait_for(heard.get(), SOON_S) == b"\x01\r\n\x04"
+        assert await asyncio.wait_for(received.get(), SOON_S) == b"\x01\r\n\x04"
         port.write(b"\x03\r\xff")
         assert os.read(host, 10) == b"\x03\r\xff"
         os.close(host)

@@ -192,7 +192,7 @@ def test_the_gate_refuses_control_to_a_second_client_while_the_first_lives(
     first, behind_first, second, behind_second = ends
 
     def asks(client: socket.socket, behind: socket.socket, request: bytes) -> bytes:
-        """What linuxcncrsh hears of it."""
+        """Return the state as linuxcncrsh reports it."""
         client.sendall(request)
         turn(gate)
         try:

@@ -87,7 +87,7 @@ def naks(got: Frames) -> list[tuple[int, str]]:
     return [(m["of"], m["code"]) for m in (json.loads(p) for k, p in got if k == f.NAK)]
 
 
-def credits_told(got: Frames) -> list[tuple[int, int]]:
+def credits_sent(got: Frames) -> list[tuple[int, int]]:
     return [struct.unpack(">IId", payload)[:2] for kind, payload in got if kind == f.ACCEPTED]
 
 
@@ -103,7 +103,7 @@ def test_hello_is_answered_by_welcome_and_credit() -> None:
     assert welcome["boot_id"] == "b1"
     assert welcome["window"] == 4096
     assert welcome["status"]["state"] == "idle"
-    assert credits_told(got) == [(0, 0)]
+    assert credits_sent(got) == [(0, 0)]
 
 
 def test_nothing_before_hello_and_hello_once() -> None:
@@ -136,7 +136,7 @@ def test_load_send_run_done() -> None:
     bench = Bench()
     client, got = bench.loaded()
     assert last(got, f.ACK)["of"] == f.LOAD
-    assert credits_told(got)[-1] == (20, 0)
+    assert credits_sent(got)[-1] == (20, 0)
     held_s = struct.unpack(">IId", got[-1][1])[2]
     assert held_s == pytest.approx(bench.controller.status()["buffer_s"], abs=1e-6)
     assert held_s == pytest.approx(2.0, rel=0.05), "20 mm at 10 mm/s"
@@ -176,12 +176,12 @@ def test_the_window_bounds_what_is_taken_and_moves_with_execution() -> None:
     bench = Bench(window=6)
     client, got = bench.client()
     bench.load(client)
-    assert credits_told(got)[-1] == (0, 6)
+    assert credits_sent(got)[-1] == (0, 6)
     bench.blocks(client, 0, LINES)
-    assert credits_told(got)[-1] == (6, 0)
+    assert credits_sent(got)[-1] == (6, 0)
     bench.resume(client, 4)
     bench.until(2.0, client)
-    assert (6, 4) in credits_told(got)
+    assert (6, 4) in credits_sent(got)
 
 
 @pytest.mark.parametrize(

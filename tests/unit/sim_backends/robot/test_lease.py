@@ -6,7 +6,7 @@ import pytest
 
 from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.robot.device import BACKLOG, CHUNK, Client, Lease
-from tests.unit.sim_backends.robot.test_controller import LINES, Bench, credits_told, executed, kinds, last, naks
+from tests.unit.sim_backends.robot.test_controller import LINES, Bench, credits_sent, executed, kinds, last, naks
 
 
 def lease_of(got: list[tuple[int, bytes]]) -> str:
@@ -196,7 +196,7 @@ def test_a_lost_accepted_is_sent_again_on_a_ping() -> None:
     writer, got = bench.loaded()
     got.clear()
     bench.say(writer, f.PING, {})
-    assert credits_told(got) == [(len(LINES), 0)]
+    assert credits_sent(got) == [(len(LINES), 0)]
     assert kinds(got) == [f.ACCEPTED, f.STATUS]
 
 

@@ -22,18 +22,18 @@ def lifted(at_s: float, distance_mm: float = 15.0) -> tuple[np.ndarray, float]:
     while wall < at_s:
         wall += 0.01
         motion.advance(wall)
-    told_s = motion.process_s
+    reported_s = motion.process_s
     motion.lift(wall, distance_mm)
     while motion.state == "running":
         wall += 0.01
         motion.advance(wall)
     assert (motion.state, motion.detail, motion.lifted) == ("held", "lift", True)
-    return np.concatenate(motion.rows), told_s
+    return np.concatenate(motion.rows), reported_s
 
 
 def test_it_goes_along_the_tools_axis_while_it_still_brakes() -> None:
-    rows, told_s = lifted(1.2)
-    after = rows[rows[:, 1] > told_s]
+    rows, reported_s = lifted(1.2)
+    after = rows[rows[:, 1] > reported_s]
     axis = tool_axis(np.array([15.0]), np.array([30.0]))[0]
     off = after[-1, 4:7] @ axis - after[0, 4:7] @ axis
     assert off == pytest.approx(15.0, abs=0.3), "and the little that it brakes"

@@ -163,7 +163,7 @@ def test_a_watchdog_stops_a_program_that_hears_nothing() -> None:
             found.written("input_int_register_24")
         found.frame()
     assert found.runtime == m.STOPPED
-    assert sum(row[3] for row in found.rows) == pytest.approx(0.36 + 0.1, abs=0.01), "last heard at 0.36 s"
+    assert sum(row[3] for row in found.rows) == pytest.approx(0.36 + 0.1, abs=0.01), "last received at 0.36 s"
 
 
 def test_a_pause_stands_on_the_path_and_play_goes_on() -> None:

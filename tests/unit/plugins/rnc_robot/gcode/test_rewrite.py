@@ -278,10 +278,10 @@ def test_too_few_or_too_many_times(size: int, count: int, why: str, cut: Callabl
 def test_progress_hears_of_every_byte_once(cut: Callable[[int], None]) -> None:
     cut(10)
     text = TEXTS["dwell"]
-    heard: list[int] = []
-    scan_program(RS274, BytesIO(text), "t.nc", heard.append)
-    assert sum(heard) == len(text)
-    assert max(heard) == 10
+    progress: list[int] = []
+    scan_program(RS274, BytesIO(text), "t.nc", progress.append)
+    assert sum(progress) == len(text)
+    assert max(progress) == 10
 
 
 def test_times_are_taken_as_their_piece_comes(cut: Callable[[int], None]) -> None:
