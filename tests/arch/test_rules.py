@@ -179,10 +179,12 @@ def test_a_list_of_devices_is_found(tmp_path: Path, text: str, found: bool) -> N
 
 
 def test_a_private_phrase_is_found_with_its_place(tmp_path: Path) -> None:
-    grow(tmp_path, {"polishd/a.py": "# Nobody\n# is told_s\n", "docs/a.md": "It is told.\n", "tests/a.py": "# told\n"})
+    files = {"polishd/a.py": "# Nobody\n# is told_s\n# heard\n", "docs/a.md": "It is told.\n"}
+    files |= {"tests/a.py": "# it heard\n", "tests/a.js": "// told\n", "tests/campaigns/pits/a.py": "# told\n"}
+    grow(tmp_path, files)
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     found = sorted(line.rpartition(": ")[0] for line in words.plain_words(tmp_path))
-    assert found == ["docs/a.md:1: 'told'", "polishd/a.py:1: 'Nobody'"]
+    assert found == ["docs/a.md:1: 'told'", "polishd/a.py:1: 'Nobody'", "tests/a.py:1: 'heard'"]
 
 
 def test_errors_may_be_defined_at_home(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A shop around a watched folder, in virtual time: an instrument that writes in every bad way, faults, restarts.
+"""Simulate a watched folder in virtual time: an instrument that writes in every bad way, faults, restarts.
 
 The daemon's side is the real ``WatchedFolder`` over a real folder; polls are called, not waited for. Clocks are
 numbers: the instrument's, the folder's, and the monotonic one. Nothing sleeps.
@@ -32,17 +32,17 @@ PART = "DEMO-100"
 POLL_S, STABLE_S = 0.25, 2.0
 BASE_S = 1_700_000_000.0
 LOST_AFTER_S = 90.0
-"""Virtual seconds after which a map that is whole and was not taken is lost."""
+"""Virtual seconds after which a complete map that was not taken counts as lost."""
 Step = tuple[float, Callable[[], None]]
-"""Seconds to wait, and then what to do."""
+"""Seconds to wait, and the action after them."""
 
 
 class Killed(BaseException):
-    """The daemon's process is gone: nothing may catch this."""
+    """The daemon's process was killed: no code may catch this."""
 
 
 class Disk:
-    """What the daemon's writes and renames go through: it can fail, be full, lie, and be the moment of death."""
+    """Disk for the daemon's writes and renames, which can fail, be full, report wrong results, or kill the daemon."""
 
     def __init__(self, patch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -56,7 +56,7 @@ class Disk:
             patch.setattr(module, "write_atomic", self.around(module.write_atomic, writes=True))
 
     def around(self, act: Callable[..., Any], *, writes: bool) -> Callable[..., Any]:
-        """The operation, with what may befall it before or after it is done."""
+        """Return the operation with possible faults before and after it."""
 
         def acted(*args: Any) -> Any:
             dying = self.dies_in is not None and self.dies_in <= 0
@@ -85,18 +85,18 @@ class Disk:
 
 @dataclass(slots=True)
 class Content:
-    """What the instrument wrote under one hash."""
+    """Content that the instrument wrote, by its hash."""
 
     kind: str
-    """good, other (another part), old, torn."""
+    """Kind of content: good, other (another part), old, torn."""
     ask: int
     taken_s: int
-    """By the instrument's clock."""
+    """Time by the instrument's clock."""
 
 
 @dataclass(slots=True)
 class World:
-    """The folder, what was ever written into it, and what the daemon took."""
+    """Folder with all that was ever written into it and what the daemon took."""
 
     root: Path
     rng: np.random.Generator
@@ -110,12 +110,12 @@ class World:
     ask: int = 0
     writes: int = 0
     stepped: bool = False
-    """A clock was wrong since the last map was taken: a refusal may be a mistake."""
+    """Whether a clock was wrong since the last map was taken: then a refusal may be a mistake."""
     put_back: int = 0
     restarts: int = 0
     latencies_s: list[float] = field(default_factory=list)
     done_s: float | None = None
-    """When a good map of this ask was finished."""
+    """When a good map of this request was complete."""
     disturbed: bool = False
     queue: list[tuple[float, int, Iterator[Step], Callable[[], None]]] = field(default_factory=list)
     numbers: Iterator[int] = field(default_factory=itertools.count)
@@ -128,13 +128,13 @@ class World:
         return self.root / "maps"
 
     def integer(self, low: int, high: int) -> int:
-        """A random whole number below ``high``."""
+        """Return a random whole number below ``high``."""
         return int(self.rng.integers(low, high))
 
     # the instrument
 
     def content(self, kind: str, part: str = PART, before_last_s: float | None = None) -> bytes:
-        """A file of its own, measured now, or so long before the last that was taken, by the instrument's clock."""
+        """Return a new file, measured now, or a time before the last that was taken, by the instrument's clock."""
         height = self.rng.normal(0.0, 30.0, (self.integer(6, 30), self.integer(6, 30)))
         height[0, :2] = np.nan
         taken_s = int(BASE_S + self.now_s + self.instrument_off_s)
@@ -147,7 +147,7 @@ class World:
         return data
 
     def start(self, steps: Iterator[Step]) -> None:
-        """Let a writer begin."""
+        """Start a writer."""
         self.writes += 1
         self._next(steps)
 
@@ -157,7 +157,7 @@ class World:
             return
 
     def run_due(self, until_s: float) -> None:
-        """Do what the writers do until then."""
+        """Run the writers until that time."""
         while self.queue and self.queue[0][0] <= until_s:
             at_s, _, steps, act = heapq.heappop(self.queue)
             self.now_s = max(self.now_s, at_s)
@@ -173,12 +173,12 @@ class World:
         self.date(path)
 
     def date(self, path: Path) -> None:
-        """A write dates the file; each a little later than the one before."""
+        """Date the file as a write does, each a little later than the one before."""
         stamp = int((BASE_S + self.now_s + self.folder_off_s) * 1e9) + next(self.numbers)
         os.utime(path, ns=(stamp, stamp))
 
     def during_read(self) -> None:
-        """What happens while the daemon reads: a writer goes on, or the file is replaced under its hands."""
+        """Act while the daemon reads: a writer continues, or the file is replaced."""
         if self.queue and self.rng.random() < 0.1:
             *_, steps, act = heapq.heappop(self.queue)
             act()
@@ -187,7 +187,7 @@ class World:
     # the daemon
 
     def boot(self) -> None:
-        """A new process: all that is known is on the disk."""
+        """Start a new process, which knows only what is on the disk."""
 
         def read(path: Path) -> SurfaceMap:
             self.during_read()
@@ -201,7 +201,7 @@ class World:
         self.wait = None
 
     def poll(self) -> bool:
-        """One poll of the daemon, which may be its last; True where a map came into the journal."""
+        """Poll once and return whether a map came into the journal; the daemon may be killed meanwhile."""
         self.now_s += POLL_S * float(self.rng.uniform(0.9, 1.1))
         self.run_due(self.now_s)
         if self.device is None:
@@ -242,7 +242,7 @@ class World:
         self.wait = None
 
     def operator(self) -> None:
-        """Does what the reason of a good map that a wrong clock had refused says."""
+        """Follow the advice for a good map that was refused because of a wrong clock."""
         for reason in (self.maps / "quarantine").glob("*.reason.txt"):
             path = reason.with_name(reason.name.removesuffix(".reason.txt"))
             if not path.exists():
@@ -259,6 +259,6 @@ class World:
             self.put_back += 1
 
     def clock(self, folder: Path) -> datetime:
-        """The folder's clock."""
+        """Return the time of the folder's clock."""
         assert folder == self.maps
         return datetime.fromtimestamp(BASE_S + self.now_s + self.folder_off_s, UTC)

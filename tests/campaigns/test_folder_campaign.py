@@ -1,4 +1,4 @@
-"""Randomised writes into a watched folder: no map is torn, lost, or taken twice, whatever happens around it."""
+"""Random writes into a watched folder: no map is taken incomplete or twice, and none is lost, with any faults."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from tests.campaigns.folder_world import LOST_AFTER_S, POLL_S, STABLE_S, Disk, W
 from tests.campaigns.folder_writers import GOOD, Step, slow, torn
 
 WRITES = 300
-"""A round; each has a folder, a daemon and a seed of its own."""
+"""Number of writes of a round, which has a separate folder, daemon and seed."""
 ROUNDS = 34
-"""Of the long campaign: 10,200 writes."""
+"""Rounds of the long campaign: 10,200 writes."""
 REASONS = {
     "other": ("WrongPart: it shows part",),
     "old": ("StaleMap: out of order", "StaleMap: stale", "StaleMap: duplicate"),
     "good": ("StaleMap: duplicate", "StaleMap: stale", "StaleMap: out of order"),
     None: ("MapError",),
 }
-"""What the reason of a quarantined file says, by what it holds; None: nothing that was written whole."""
+"""Reason of a quarantined file by its kind of content; None: content that was never complete."""
 
 
 def finished(world: World) -> Step:
-    """The good map lies there whole."""
+    """Return the step that records when the good map is complete."""
 
     def note() -> None:
         world.done_s = world.now_s
@@ -38,7 +38,7 @@ def finished(world: World) -> Step:
 
 
 def measure(world: World) -> Iterator[Step]:
-    """The answer to an ask, in one of the ways."""
+    """Write the answer to a request in one of the ways."""
     way = GOOD[world.integer(0, len(GOOD))]
     path = world.maps / f"map-{world.ask}.dat"
     yield float(world.rng.uniform(0.5, 3.0)), partial(setattr, world, "done_s", None)
@@ -47,7 +47,7 @@ def measure(world: World) -> Iterator[Step]:
 
 
 def junk(world: World) -> Iterator[Step]:
-    """Something that is not to be taken."""
+    """Write a file that must not be taken."""
     path = world.maps / f"junk-{world.writes}.dat"
     yield float(world.rng.uniform(0.0, 6.0)), lambda: None
     kind = ("other", "old", "torn", "junk", "empty", "again")[world.integer(0, 6)]
@@ -66,7 +66,7 @@ def junk(world: World) -> Iterator[Step]:
 
 
 def step_clocks(world: World) -> None:
-    """Sometimes a clock is wrong for a map or two, by minutes or hours, forward or back; not for the very first map,
+    """Set a clock wrong for a map or two, by minutes or hours, forward or back; not for the very first map,
     which has no other to be compared with.
     """
     if world.ask == 1:
@@ -84,7 +84,7 @@ def step_clocks(world: World) -> None:
 
 
 def disturb(world: World) -> None:
-    """Faults of the share and the disk, a full disk, a daemon that is killed."""
+    """Set faults of the share and the disk, a full disk, and kills of the daemon."""
     disk, chance = world.disk, world.rng.random()
     disk.broken, disk.full, world.disturbed = 0.0, False, False
     if chance < 0.15:
@@ -97,7 +97,7 @@ def disturb(world: World) -> None:
 
 
 def one_ask(world: World) -> None:
-    """From the ask until its map is in the journal."""
+    """Run from the request until its map is in the journal."""
     world.ask += 1
     world.done_s = None
     step_clocks(world)
@@ -122,14 +122,14 @@ def one_ask(world: World) -> None:
 
 
 def drain(world: World) -> None:
-    """All that lies in the folder comes to rest and is judged; nothing of it is to be taken."""
+    """Run until all files in the folder are complete and judged; none of them may be taken."""
     world.disk.broken, world.disk.full, world.disk.dies_in = 0.0, False, None
     for _ in range(round((25.0 + 12 * STABLE_S) / POLL_S)):
         assert not world.poll()
 
 
 def check_all_is_kept(world: World) -> None:
-    """Whatever was written whole, and not written over by its writer, is there, with a reason where it was refused."""
+    """Require that all complete files that were not overwritten exist, with a reason where they were refused."""
     kept = {hashlib.sha256(path.read_bytes()).hexdigest() for path in world.maps.rglob("*") if path.is_file()}
     assert set(world.journal[1:]) <= kept
     missing = [one for name, one in world.contents.items() if one.kind != "torn" and name not in kept]
@@ -145,7 +145,7 @@ def check_all_is_kept(world: World) -> None:
 
 
 def play(root: Path, seed: int, writes: int) -> World:
-    """One round."""
+    """Run one round."""
     (root / "maps").mkdir(parents=True)
     rng = np.random.default_rng(seed)
     with pytest.MonkeyPatch.context() as patch:

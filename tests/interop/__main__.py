@@ -13,7 +13,7 @@ PAGE = ROOT / "docs" / "reference" / "interop.md"
 
 
 class Outcomes:
-    """A plugin of pytest that notes what came of each peer's tests."""
+    """Plugin of pytest that records the result of each peer's tests."""
 
     def __init__(self) -> None:
         self.by_module: dict[str, Tried] = {}

@@ -1,4 +1,4 @@
-"""LinuxCNC's HAL in processes and shared memory of its own, without its realtime part: home of its Modbus masters."""
+"""LinuxCNC's HAL in separate processes and shared memory, without its realtime part: host of its Modbus masters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/reference/interop.md: which peers, which versions, what was tried with them, and what came of it."""
+"""Write docs/reference/interop.md: the peers with their versions, the tests with them, and the results."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ real inverter, TwinCAT's own router, OPC UA with certificates.
 
 @dataclass(slots=True)
 class Tried:
-    """What came of a peer's tests, by their names; ``why`` it was skipped, where it was."""
+    """Results of a peer's tests by name; ``why`` is the reason where the peer was skipped."""
 
     peer: Peer
     version: str

@@ -74,7 +74,7 @@ class Hub(asyncio.Protocol):
 
 @pytest.fixture
 async def local_node() -> AsyncIterator[SocketcandAddress]:
-    """canopen's LocalNode in a process of its own; the address of its bus."""
+    """Run canopen's LocalNode in a separate process; the address of its bus."""
     clients: set[Hub] = set()
     server = await asyncio.get_running_loop().create_server(lambda: Hub(clients), "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
@@ -173,7 +173,7 @@ def test_canopens_own_client_works_our_simulated_drive(running: Cell) -> None:
         # of its log: its wait() misses an emergency that comes before it is called
         (emergency,) = wait_for(lambda: [one for one in node.emcy.log if one.code == 0x8130], "the emergency")
         assert emergency.register == 0x11
-    wait_for(lambda: running.events("watchdog"), "the plant to hear of it")
+    wait_for(lambda: running.events("watchdog"), "the watchdog event of the plant")
     said = running.events("spindle_ramping", "spindle_at_speed", "spindle_stopped", "watchdog")
     assert [said[0], said[-1]] == ["spindle_ramping", "watchdog"]
     assert "spindle_at_speed" in said

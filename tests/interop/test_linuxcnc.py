@@ -96,7 +96,7 @@ def test_mb2hal_works_our_voice_coil_over_tcp(devices: Cell, tmp_path: Path) -> 
 
 
 def test_mb2hal_works_our_voice_coil_on_a_serial_line(tmp_path: Path) -> None:
-    """On a line of its own: it may end between a request and its answer, which would be the next master's."""
+    """Use a separate line: a master may end between a request and its answer, which the next master would get."""
     with cell(tmp_path, d.PRESSING + d.RTU) as running:
         works_the_voice_coil(running, tmp_path / "coil.ini")
 

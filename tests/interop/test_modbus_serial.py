@@ -16,7 +16,7 @@ pytestmark = PEER.needed
 
 
 class Master:
-    """Its client, in a process of its own."""
+    """Client of modbus-serial in a separate process."""
 
     def __init__(self, peer: Program) -> None:
         self._peer = peer

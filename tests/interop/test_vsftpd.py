@@ -43,7 +43,7 @@ xferlog_enable=NO
 
 @contextmanager
 def server(folder: Path) -> Iterator[int]:
-    """It has no account of its own that a test could use: anybody may write into ``nc``."""
+    """Run the server, which has no account for tests: all users may write into ``nc``."""
     (folder / "empty").mkdir()
     (folder / "root" / "nc").mkdir(parents=True)
     shutil.chown(folder / "root" / "nc", "ftp")

@@ -38,9 +38,9 @@ MOUSE = {"down": "mousePressed", "move": "mouseMoved", "up": "mouseReleased"}
 class Chromium(Page):
     """Implement the method of Page."""
 
-    def __init__(self, said: int, heard: int) -> None:
+    def __init__(self, said: int, received: int) -> None:
         super().__init__()
-        self._said, self._heard, self._rest, self._last = said, heard, b"", 0
+        self._said, self._received, self._rest, self._last = said, received, b"", 0
         self._session, self._held = "", False
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -105,9 +105,9 @@ class Chromium(Page):
     def _next(self) -> dict[str, Any]:
         end = time.monotonic() + 2 * SOON_S
         while b"\0" not in self._rest:
-            ready, _, _ = select.select([self._heard], [], [], max(end - time.monotonic(), 0))
+            ready, _, _ = select.select([self._received], [], [], max(end - time.monotonic(), 0))
             assert ready, "the browser does not answer"
-            part = os.read(self._heard, 1 << 20)
+            part = os.read(self._received, 1 << 20)
             assert part, "the browser has ended"
             self._rest += part
         message, _, self._rest = self._rest.partition(b"\0")
@@ -132,7 +132,7 @@ class Chromium(Page):
 def browsing(folder: Path, options: Sequence[str]) -> Iterator[Chromium]:
     """Run Chromium with these additional options for the duration of the block."""
     its_in, said = os.pipe()
-    heard, its_out = os.pipe()
+    received, its_out = os.pipe()
     far = [fcntl.fcntl(one, fcntl.F_DUPFD, 20) for one in (its_in, its_out)]
 
     def place() -> None:
@@ -145,9 +145,9 @@ def browsing(folder: Path, options: Sequence[str]) -> Iterator[Chromium]:
         for one in (its_in, its_out, *far):
             os.close(one)
         try:
-            yield Chromium(said, heard)
+            yield Chromium(said, received)
         finally:
             process.terminate()
             process.wait(SOON_S)
             os.close(said)
-            os.close(heard)
+            os.close(received)

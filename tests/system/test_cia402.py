@@ -121,7 +121,7 @@ async def test_a_tool_is_turned_pressed_and_lifted(running: Cell) -> None:
     assert sample.position_mm == pytest.approx(5.0, abs=0.1)
     await actuator.make_safe()
     await spindle.make_safe()
-    wait_for(lambda: "spindle_stopped" in running.events(), "the plant to hear of it")
+    wait_for(lambda: "spindle_stopped" in running.events(), "the plant's event")
     events = running.events("engage", "tool_landed", "retract", "force_zero", "tool_lifted", "retracted")
     assert events == ["engage", "tool_landed", "retract", "force_zero", "tool_lifted", "retracted"]
     await actuator.close()

@@ -160,7 +160,7 @@ def test_a_force_that_sticks_is_a_safety_stop_and_a_person_decides(tmp_path: Pat
             assert daemon.wait_for_state("held")["reason"]
             assert daemon.end() != 0
         moved = [e for e in events(files)[before:] if e["event"] in ("motion_started", "engage", "force_on")]
-        assert not moved, "nothing starts by itself after a safety stop"
+        assert not moved, "nothing starts without a command after a safety stop"
     # the cell is switched off meanwhile: one more cause, and the first one stays
     assert polishd("run", files.cell).returncode == DEVICE
     assert [cause["kind"] for cause in summary(files)["causes"]] == ["SafetyStop", "LinkError"]

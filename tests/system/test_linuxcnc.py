@@ -129,7 +129,7 @@ def test_a_part_on_a_tilting_table_is_polished_as_if_the_tool_were_turned(tmp_pa
         require_safe_end(files)
         (program,) = account(files)["programs"]
     first, final = summary(files)["cycles"]
-    # Of one pass, before anybody knows what a block costs a controller that waits for a busy computer.
+    # One pass, before the additional time per block of a controller on a busy computer is known.
     assert final["rms_nm"] < 0.8 * first["rms_nm"]
     assert program["loads"] == 1
     rows = np.genfromtxt(files.run_dir / "cycle-00" / "executed.csv", delimiter=",", names=True)

@@ -26,13 +26,13 @@ class Attached:
         self.socket = socket.socket(socket.AF_UNIX)
         self.socket.connect(os.path.relpath(state / "plant.sock"))
         self.say(hello="actuator", pid=os.getpid(), t=time.monotonic())
-        self.welcome = self.hear()
+        self.welcome = self.receive()
 
     def say(self, **message: Any) -> None:
         payload = json.dumps(message).encode()
         self.socket.sendall(struct.pack(">IB", len(payload), 0) + payload)
 
-    def hear(self) -> dict[str, Any]:
+    def receive(self) -> dict[str, Any]:
         length, kind = struct.unpack(">IB", self.socket.recv(5, socket.MSG_WAITALL))
         assert kind == 0
         return dict(json.loads(self.socket.recv(length, socket.MSG_WAITALL)))

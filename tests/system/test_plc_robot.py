@@ -37,7 +37,7 @@ def test_a_feed_hold_in_contact_takes_the_tool_off_and_nothing_goes_on_by_itself
     names = [event["event"] for event in log]
     left = names[max(k for k, name in enumerate(names) if name == "button") :]
     assert left.index("motion_stopped") < left.index("force_zero") < left.index("tool_lifted")
-    assert "motion_started" not in left, "nothing goes on by itself"
+    assert "motion_started" not in left, "nothing resumes without a command"
 
 
 @pytest.mark.full

@@ -86,7 +86,7 @@ class Module:
         yield from self._within(self.tree, _Place())
 
     def sound(self, mutant: Mutant) -> Mutant:
-        """Return the mutant with no fault instead of its own."""
+        """Return the mutant without a fault."""
         first = self.tree.body[0]
         return replace(mutant, change="nothing", edit=Edit(self.tree, "body", 0), new=first)
 

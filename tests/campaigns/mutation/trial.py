@@ -155,7 +155,7 @@ def in_import(
 
         SourceFileLoader.get_code = get_code  # type: ignore[method-assign, assignment]
         files = sorted({nodeid.partition("::")[0] for nodeid in order})
-        # pytest loads polishd by a loader of its own, for its asserts: polishd has an entry point of pytest
+        # pytest loads polishd with its assertion-rewriting loader: polishd has an entry point of pytest
         if pytest.main([*options, "--assert=plain", *files], [reporter, Chosen(order)]) != pytest.ExitCode.OK:
             reporter.say(FAILED, "pytest")
             os._exit(1)

@@ -56,7 +56,7 @@ def main() -> int:
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
     parse.add_argument("--sitting", type=int, default=SITTING, help="parts of one sitting")
     parse.add_argument("--minutes", type=float, default=1e9, help="after which what was begun is ended")
-    parse.add_argument("--seed", type=int, default=1, help="another one needs a --folder of its own")
+    parse.add_argument("--seed", type=int, default=1, help="another one needs another --folder")
     parse.add_argument("--speed", type=float, default=SPEED, help="of the simulated clock")
     parse.add_argument("--folder", type=Path, default=FOLDER, help="where all is kept between sittings")
     options = parse.parse_args()

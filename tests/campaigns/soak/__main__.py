@@ -123,7 +123,7 @@ def main() -> int:
     options = parse.parse_args()
     folder = options.folder.resolve()
     if options.only and folder == FOLDER:
-        parse.error("--only goes with a --folder of its own: figures are of what is drawn")
+        parse.error("--only needs a separate --folder: figures depend on the scripts")
     life = options.life > 0
     figures = Figures(folder, options.seed, options.speed, life=life)
     only = [NAMED[name] for name in options.only] or (LIVED if life else ())

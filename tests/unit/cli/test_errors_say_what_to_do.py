@@ -19,7 +19,7 @@ TO_DO = re.compile(
     re.IGNORECASE,
 )
 NO_MOTION = "This run opened nothing and moved nothing"
-# Each takes a cell, or a file of its own kind, as its first argument.
+# Each takes a cell or another file of a given kind as its first argument.
 FILE_COMMANDS = (
     "approve", "check", "compliance", "estimates forget", "estimates show", "estop", "events", "hil", "history",
     "hold", "notify", "opcua", "plugins", "probe", "queue list", "rehearse", "resume", "run", "service show --user",

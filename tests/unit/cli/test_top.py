@@ -77,7 +77,7 @@ def test_it_says_what_goes_on_and_how_old_that_is(cell: Path) -> None:
         "NOT SAFE",
     ):
         assert words in text, text
-    assert "heard spindle" not in text, "nothing was ever heard of it"
+    assert "heard spindle" not in text, "it never sent anything"
 
 
 def test_what_is_old_is_reported_by_its_age_and_style() -> None:
