@@ -1,4 +1,4 @@
-"""What tests of one part share: the shipped example, the command line, and fake distributions with plugins."""
+"""Shared fixtures of the unit tests: the shipped example, the command line, and fake distributions with plugins."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Install = Callable[..., str]
 
 @pytest.fixture
 def example() -> str:
-    """The text of the shipped example."""
+    """Return the text of the shipped example."""
     return EXAMPLE.read_text()
 
 
 @pytest.fixture
 def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Polishd:
-    """``polishd("check", path)``: called in this process as from the shell."""
+    """Return a function that runs a command in this process as from the shell: ``polishd("check", path)``."""
 
     def call(*words: object) -> Said:
         monkeypatch.setattr(sys, "argv", ["polishd", *map(str, words)])
@@ -42,7 +42,7 @@ def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
-    """``install("name", source)`` puts a distribution with one plugin on sys.path, as pip would."""
+    """Return a function that puts a distribution with one plugin on sys.path: ``install("name", source)``."""
     site = tmp_path / "site"
     site.mkdir()
     monkeypatch.syspath_prepend(str(site))

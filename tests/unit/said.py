@@ -1,4 +1,4 @@
-"""What a call of the command line left behind."""
+"""Result of a call of the command line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Said:
 
     @property
     def answer(self) -> Any:
-        """The JSON on stdout of a call that went well."""
+        """Return the JSON on stdout of a successful call."""
         assert self.code == 0, self.err
         return json.loads(self.out)
 

@@ -1,4 +1,4 @@
-"""What every test of the daemon gets."""
+"""Shared fixtures of the daemon's tests."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def _what_is_there_before_is_not_searched() -> None:
-    """Each pass thaws all, the suite's thousands of tests among it: the next collection would look around in them."""
+    """Exclude existing objects from garbage collection: each pass of the daemon includes all objects again."""
     gc.freeze()

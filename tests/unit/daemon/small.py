@@ -1,4 +1,4 @@
-"""A job that is small enough to compute in milliseconds: a part of 24 mm, a Gaussian spot, a raster of 1.5 mm."""
+"""Small job that is computed in milliseconds: a part of 24 mm, a Gaussian spot, a raster of 1.5 mm."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=
 def record_warm_starts(
     monkeypatch: pytest.MonkeyPatch, state: Mapping[str, FloatArray] | None = None
 ) -> list[WarmStart | None]:
-    """What each later solve of a job starts from. ``state``: what its solver keeps for the next one in its place."""
+    """Record the warm start of each later solve of a job. ``state`` replaces the state that its solver keeps."""
     starts: list[WarmStart | None] = []
     solve = dwell_step.solve_first
 
@@ -68,7 +68,7 @@ def record_warm_starts(
 
 
 def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
-    """A spot of 20 nm/s at the middle of each block."""
+    """Return a spot of 20 nm/s at the middle of each block."""
     program = request.program
     middle = (program.start_mm + program.end_mm) / 2
     effect = spot_effect(request.grid, middle, sigma_mm=1.5, rate_nm_s=20.0 * request.rate)
@@ -76,12 +76,12 @@ def gaussian_effect(request: RemovalRequest) -> RemovalAnswer:
 
 
 def at_rate(rate: float) -> EstimatesInUse:
-    """What is believed where the tool removes so much of what its model says."""
+    """Return the estimates for a tool that removes this share of its model's removal."""
     return EstimatesInUse(Estimates(Estimate(rate)))
 
 
 def pointwise_effect(request: RemovalRequest) -> RemovalAnswer:
-    """The same, static, with a gamma that falls along x: the dwell is divided by it."""
+    """Return a static Gaussian spot with a gamma that falls along x: the dwell is divided by it."""
     answer = gaussian_effect(request)
     gamma = 0.8 + 0.1 * request.program.end_mm[:, 0] / APERTURE_MM
     return replace(answer, gamma=gamma, divide_by=gamma)
@@ -128,19 +128,19 @@ def small_recipe(**changes: Any) -> Recipe:
 
 
 def small_text(radius_mm: float = APERTURE_MM / 2 + 1) -> bytes:
-    """A raster over the part and a little more, as RNC text."""
+    """Return a raster over the part and its surroundings, as RNC text."""
     points = raster(circle(2 * radius_mm), 1.5, 1.5)
     return path_program(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), 900.0, "small")
 
 
 @cache
 def small_program(radius_mm: float = APERTURE_MM / 2 + 1) -> Program:
-    """The same, read."""
+    """Return the program of that raster."""
     return RS274.read(small_text(radius_mm), "small.rnc")
 
 
 def small_map(rms_nm: float = 20.0, seed: int = 0, part_id: str = "P-1") -> SurfaceMap:
-    """A round part that was measured at a pitch of 0.5 mm, level."""
+    """Return the map of a round part at a pitch of 0.5 mm without tilt."""
     n = int(APERTURE_MM / 0.5) + 4
     grid = Grid(n, n, 0.5)
     height = rough(grid, rms_nm, seed)
@@ -150,25 +150,25 @@ def small_map(rms_nm: float = 20.0, seed: int = 0, part_id: str = "P-1") -> Surf
 
 
 def as_map(height_nm: FloatArray, part_id: str = "P-1") -> SurfaceMap:
-    """These heights at a pitch of 0.5 mm, as a map of their own."""
+    """Return a new map of these heights at a pitch of 0.5 mm."""
     return SurfaceMap(height_nm, 0.5, part_id, sha256=hashlib.sha256(height_nm.tobytes()).hexdigest())
 
 
 async def compute(function: Callable[..., Any], *arguments: Any, within_s: float = 600.0) -> Any:
-    """The compute worker's place: here and now, so that monkeypatched steps are seen."""
+    """Replace the compute worker: run the function in this process, where monkeypatched steps apply."""
     await asyncio.sleep(0)
     return function(*arguments)
 
 
 def accept(plan: Plan, limits: Envelope) -> Sequence[str]:
-    """A plan check that has nothing to say."""
+    """Accept every plan."""
     return []
 
 
 def small_job(
     tmp_path: Path, journal: Journal, *, recipe: Recipe | None = None, program: Program | None = None, **changes: Any
 ) -> Job:
-    """A job of that recipe; ``job.published`` are its events."""
+    """Return a job of that recipe; ``job.published`` has its events."""
     folder = RunFolder(tmp_path / "run")
     folder.create()
     published: list[Event] = []
@@ -201,13 +201,13 @@ def recorded_phases(journal: Journal) -> list[tuple[Any, ...]]:
 
 @cache
 def written_s(text: bytes) -> float:
-    """Seconds of 1.5 mm at the block's own feed, 0 where it has none."""
+    """Return the seconds of 1.5 mm at the feed of the block, 0 without a feed."""
     feed = next((float(word[1:]) for word in text.split() if word.startswith(b"F")), None)
     return 0.0 if feed is None else 1.5 / (feed / 60)
 
 
 class Bench:
-    """A part that is really polished: each map is the one before, less what the last pass's blocks removed."""
+    """Simulated part: each map is the one before less the removal of the last pass's blocks."""
 
     def __init__(self, tmp_path: Path, journal: Journal, rate: float = 1.0) -> None:
         self.fake = FakeCell()
@@ -226,11 +226,11 @@ class Bench:
         return await polish(self.fake.cell, job or self.job(), self.journal)
 
     def block_s(self, block: Segment) -> float:
-        """Each block takes what is written in it: 1.5 mm or so at its own feed."""
+        """Return the time of a block: about 1.5 mm at its feed."""
         return written_s(block.text)
 
     def measure(self) -> SurfaceMap:
-        """What the passes so far have left."""
+        """Return the map after the passes so far."""
         passes = self.journal.passes
         if passes and passes[-1].cycle != self._cycle:
             self._cycle = passes[-1].cycle
@@ -246,11 +246,11 @@ class Bench:
         return self.surface
 
     def program_of(self, record: PassRecord) -> Program:
-        """The program of that pass."""
+        """Return the program of that pass."""
         return small_program()
 
     def truth_of(self, record: PassRecord) -> Recipe:
-        """The tool that truly made that pass."""
+        """Return the recipe with the true tool of that pass."""
         return small_recipe()
 
     def phases(self) -> list[str]:
@@ -261,7 +261,7 @@ class Bench:
 
 
 async def run_cell(config: Any, hooks: Any, *, holds: bool = True) -> dict[str, Any]:
-    """The daemon of one cell to its end: its summary; what ended it before anything was opened is raised."""
+    """Run the daemon of one cell and return its summary. An error before the devices are opened is raised."""
     (found,) = await app.run_cells([app.CellRun(config, hooks)], holds=holds)
     if isinstance(found, Exception):
         raise found

@@ -1,4 +1,4 @@
-"""What tests of the robot link share."""
+"""Shared fixtures of the robot link's tests."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLAN = plan_of([b"G1 X%d F60" % at for at in range(200)])
 
 @pytest.fixture
 async def pair() -> AsyncIterator[Pair]:
-    """An open driver, and its robot."""
+    """Run an open driver with its fake robot."""
     fake = await FakeRobot().start()
     robot = RobotLink(Tcp("127.0.0.1", fake.port), client="test")
     await robot.open()

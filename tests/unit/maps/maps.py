@@ -1,4 +1,4 @@
-"""Maps for the tests of ``polishd map``: as the simulator's instrument writes them, and what they are made of."""
+"""Write maps for the tests of ``polishd map``, as the simulator's instrument writes them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TAKEN_S = 1_760_000_000
 
 
 def surface(rows: int = 60, columns: int = 48, seed: int = 3) -> FloatArray:
-    """(rows, columns) nm: tilt, an off-centre bump and a little noise, within an ellipse."""
+    """Return heights (rows, columns) in nm: tilt, an off-center bump and a little noise, within an ellipse."""
     y, x = np.meshgrid(np.linspace(1, -1, rows), np.linspace(-1, 1, columns), indexing="ij")
     bump = 30 * np.exp(-((x - 0.3) ** 2 + (y - 0.2) ** 2) / 0.05)
     noise = np.random.default_rng(seed).normal(0.0, 1.0, x.shape)
@@ -22,6 +22,6 @@ def surface(rows: int = 60, columns: int = 48, seed: int = 3) -> FloatArray:
 
 
 def dat(path: Path, height_nm: FloatArray, pitch_mm: float = PITCH_MM, part: str = "blank-7") -> Path:
-    """A MetroPro file of it; pitch 0: not calibrated."""
+    """Write a MetroPro file of the heights; pitch 0: not calibrated."""
     path.write_bytes(pack(DatMap(height_nm, pitch_mm, part=part, taken_s=TAKEN_S)))
     return path

@@ -1,4 +1,4 @@
-"""A journal with a few jobs of a queue: one accepted, one rejected, one cut off, one under way, one that waits."""
+"""Write a journal with jobs of a queue: accepted, rejected, interrupted, under way, and waiting."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RMS_NM = {1: 1.5, 2: 3.5}
 
 
 def write_journal(state_dir: Path) -> None:
-    """As a daemon would have left it."""
+    """Write the journal as a daemon does."""
     state_dir.mkdir(parents=True, exist_ok=True)
     Store.open(state_dir / JOURNAL_NAME).close()
     with closing(connect(state_dir / JOURNAL_NAME)) as journal:

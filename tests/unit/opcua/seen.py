@@ -1,4 +1,4 @@
-"""A cell's OPC UA server as a client sees it, for tests: its machine, a value with its status, what a model lacks."""
+"""Read a cell's OPC UA server as a client: its machine, a value with its status, the missing parts of a type."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MANDATORY = node_id(ua.ObjectIds.ModellingRule_Mandatory, 0)
 
 @asynccontextmanager
 async def watching(folder: Path) -> AsyncIterator[Node]:
-    """The machine, as a client on loopback has it."""
+    """Connect a client on loopback for the duration of the block; the node of the machine."""
     async with server.serving("cell 7", folder, SECTION) as address, Client(address) as client:
         await client.load_data_type_definitions()
         space = await client.get_namespace_index(MACHINERY)
@@ -32,7 +32,7 @@ async def watching(folder: Path) -> AsyncIterator[Node]:
 
 
 async def inner(node: Node, *names: str) -> Node:
-    """Of these browse names, in whatever namespaces."""
+    """Return the child node with these browse names, in any namespaces."""
     for name in names:
         found = [one for one in await node.get_children() if (await one.read_browse_name()).Name == name]
         assert len(found) == 1, (name, found)
@@ -54,7 +54,7 @@ async def until(look: Callable[[], Awaitable[bool]]) -> None:
 
 
 async def missing(instance: Node, kind: Node) -> list[str]:
-    """Mandatory parts of a type, of those above it and of its interfaces, that the instance has not, at any depth."""
+    """Return the mandatory parts of a type, its supertypes and interfaces that the instance lacks, at any depth."""
     lacks = []
     has = {(await one.read_browse_name()).to_string(): one for one in await instance.get_children()}
     for part in await kind.get_children():
@@ -73,7 +73,7 @@ async def missing(instance: Node, kind: Node) -> list[str]:
 
 
 async def type_of(node: Node) -> Node:
-    """Its type definition."""
+    """Return the type definition of a node."""
     found = await node.read_type_definition()
     assert found is not None
     return Node(node.session, found)

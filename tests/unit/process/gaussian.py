@@ -1,4 +1,4 @@
-"""Dwell problems with a Gaussian spot, programs and synthetic surfaces: what the tests of process/ share."""
+"""Shared helpers of the process tests: dwell problems with a Gaussian spot, programs and synthetic surfaces."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from polishd.process.toolpath.paths import raster
 def spot_effect(
     grid: Grid, points_mm: FloatArray, sigma_mm: float = 0.9, rate_nm_s: float | FloatArray = 100.0
 ) -> SparseEffect:
-    """A Gaussian spot of this size, cut at three sigmas, at each point (n, 2 or 3)."""
+    """Return a Gaussian spot of this size, cut at three sigmas, at each point (n, 2 or 3)."""
     reach = int(np.ceil(3 * sigma_mm / grid.pitch_mm))
     row = np.rint((grid.y_mm[0] - points_mm[:, 1]) / grid.pitch_mm).astype(int)
     column = np.rint((points_mm[:, 0] - grid.x_mm[0]) / grid.pitch_mm).astype(int)
@@ -36,7 +36,7 @@ def spot_effect(
 
 
 def rough(grid: Grid, rms_nm: float = 18.5, seed: int = 0, cut_mm: float = 6.0) -> FloatArray:
-    """(ny, nx) random surface whose spectrum falls towards short periods and ends at ``cut_mm``."""
+    """Return a random surface (ny, nx) whose spectrum falls towards short periods and ends at ``cut_mm``."""
     rng = np.random.default_rng(seed)
     fy, fx = np.fft.fftfreq(grid.ny, grid.pitch_mm), np.fft.rfftfreq(grid.nx, grid.pitch_mm)
     f = np.hypot(fy[:, None], fx[None, :])
@@ -48,7 +48,7 @@ def rough(grid: Grid, rms_nm: float = 18.5, seed: int = 0, cut_mm: float = 6.0) 
 def dwell_problem(
     radius_mm: float = 12.0, seed: int = 0, rho: float = 1e-4, unreachable: float = 0.02, feed_mm_s: float = 50.0
 ) -> DwellProblem:
-    """A disc polished along a raster at 1 mm: 110 x 110 and 8,000 points at radius 50."""
+    """Return the problem of a disc and a raster at 1 mm: 110 x 110 pixels and 8,000 points at radius 50."""
     n = int(2 * radius_mm + 10)
     grid = Grid(n, n, 1.0)
     points = raster(circle(2 * radius_mm - 2), 1.0, 1.0)
@@ -64,7 +64,7 @@ def dwell_problem(
 
 
 def program(points_mm: FloatArray, time_s: float | FloatArray = 0.1, encoding: Encoding = "feed") -> Program:
-    """The path through these points (n + 1, 3), or a dwell at each of (n, 3)."""
+    """Return the program of a path through these points (n + 1, 3), or of a dwell at each of (n, 3)."""
     start, end = (points_mm, points_mm) if encoding == "dwell" else (points_mm[:-1], points_mm[1:])
     n = len(start)
     axis = np.tile([0.0, 0.0, 1.0], (n, 1))
@@ -74,12 +74,12 @@ def program(points_mm: FloatArray, time_s: float | FloatArray = 0.1, encoding: E
 
 
 def scaled(effect: SparseEffect, factor: float) -> SparseEffect:
-    """The same effect at a rate that is ``factor`` times as high."""
+    """Return the effect with a rate that is ``factor`` times as high."""
     return SparseEffect(effect.grid, effect.matrix * factor)
 
 
 def envelope(**changes: float) -> Envelope:
-    """The demo cell's envelope, with changes."""
+    """Return the demo cell's envelope with changes."""
     limits: dict[str, float] = {
         "max_feed_mm_s": 50.0,
         "min_feed_mm_s": 0.5,

@@ -1,4 +1,4 @@
-"""Programs of bare moves on the part, for tests of what happens along a path."""
+"""Programs of single moves on the part, for tests of the removal along a path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def program(start: ArrayLike, end: ArrayLike, azimuth: ArrayLike = 0.0) -> Progr
 
 
 def inward_program(start: ArrayLike, end: ArrayLike) -> Program:
-    """The same on the shipped part with the spindle leaning towards the base's z axis."""
+    """Return such a program on the shipped part with the spindle leaning towards the base's z axis."""
     moves = program(start, end)
     base = moves.end_mm * [1, -1, -1] + np.array(PLACEMENT.origin_mm)
     return program(start, end, np.arctan2(base[:, 1], -base[:, 0]))

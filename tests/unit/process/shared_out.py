@@ -1,4 +1,4 @@
-"""Patches laid on cells the plain way: each square shared out by area, position by position."""
+"""Reference for the cell averages of patches: divides each square by area, position by position."""
 
 from __future__ import annotations
 

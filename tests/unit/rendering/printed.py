@@ -1,4 +1,4 @@
-"""What a picture of a report must have to be read on paper."""
+"""Check that a picture of a report is legible on paper."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST_PT = 8.0
 
 
 def require_legible(fig: Figure) -> None:
-    """It is as wide as the page, so its fonts are printed in their size: 8 pt or more. No text is cut or covered."""
+    """Require the width of the page, fonts of 8 pt or more in print, and no text that is cut or covered."""
     assert fig.get_size_inches()[0] == PAGE_IN
     fig.draw_without_rendering()
     found = [(ax, text, text.get_window_extent()) for ax in fig.axes for text in texts_of(ax)]
@@ -31,7 +31,7 @@ def require_legible(fig: Figure) -> None:
 
 
 def texts_of(ax: Axes) -> Iterator[Text]:
-    """Texts that are drawn: titles, labels, ticks within the view, notes and legend."""
+    """Yield the texts that are drawn: titles, labels, ticks within the view, notes and legend."""
     axes = (ax, *ax.child_axes) if ax.axison else ()
     texts = [*ax.texts, *(ax.legend_.texts if ax.legend_ else ())]
     for one in axes:

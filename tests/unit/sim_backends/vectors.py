@@ -1,4 +1,4 @@
-"""The test vectors of docs/protocols/, which the simulator's codecs are held to."""
+"""Read the test vectors of docs/protocols/ for the simulator's codecs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ DOCS = Path(__file__).resolve().parents[3] / "docs" / "protocols"
 
 
 def vectors(name: str) -> dict[str, str]:
-    """``name value`` of each line of the vectors block of a protocol's page."""
+    """Return the values by name from the vectors block of a protocol's page."""
     text = (DOCS / f"{name}.md").read_text()
     block = re.search(r"```vectors\n(.*?)```", text, re.DOTALL)
     assert block is not None, f"{name}.md has no vectors"

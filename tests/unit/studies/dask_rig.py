@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Self
 
 WITHIN_S = 120.0
-"""In which a process of Dask is there: others want the machine, too."""
+"""Time limit for the start of a Dask process on a busy machine."""
 
 
 class Cluster:
-    """The scheduler, and the workers that were started so far, of one thread each."""
+    """Scheduler with the workers that were started so far, each with one thread."""
 
     def __init__(self, folder: Path, workers: int) -> None:
-        """Start them; it is ended as a context."""
+        """Start scheduler and workers; the ``with`` block ends them."""
         self._folder, self._file = folder, folder / "scheduler.json"
         self._file.unlink(missing_ok=True)  # of a run before: its address is stale
         self._log = (folder / "dask.log").open("wb")
@@ -27,13 +27,13 @@ class Cluster:
             self.add_worker()
 
     def add_worker(self) -> None:
-        """One more, without a restart."""
+        """Start one more worker, which is not restarted."""
         words = ("--nthreads", "1", "--no-nanny", "--host", "127.0.0.1", "--local-directory", str(self._folder))
         self.workers.append(self._start("worker", *words))
 
     @property
     def address(self) -> str:
-        """Where the scheduler is, once it listens: it writes its file then."""
+        """Return the address of the scheduler, which writes it to a file when it listens."""
         end_s = time.monotonic() + WITHIN_S
         while time.monotonic() < end_s:
             try:
@@ -47,11 +47,11 @@ class Cluster:
         return subprocess.Popen(words, stdout=self._log, stderr=self._log)
 
     def __enter__(self) -> Self:
-        """Itself."""
+        """Return the cluster."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Kill all of it."""
+        """Kill scheduler and workers."""
         for process in (*self.workers, self._scheduler):
             process.kill()
             process.wait()

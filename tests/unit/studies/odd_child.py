@@ -1,4 +1,4 @@
-"""A worker of studies that does what a case's point says."""
+"""Worker of studies that behaves as a case's point requests."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ TABLE_IV, TABLE_III, FIG_12 = (EXAMPLES / f"{name}.toml" for name in ("table_iv"
 
 
 def variant(folder: Path, shipped: Path, *changes: tuple[str, str]) -> Path:
-    """A copy of a shipped study with pieces of its text exchanged; each must be there."""
+    """Write a copy of a shipped study with replaced pieces of text; each of them must exist."""
     text = shipped.read_text(encoding="utf-8")
     for old, new in changes:
         assert old in text, f"{shipped.name} has no {old!r}"
@@ -34,18 +34,18 @@ SMALL = (
 
 
 def small(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Table IV on 24 mm: a sixth of the points, and not solved to the end."""
+    """Write Table IV on 24 mm: a sixth of the points, with a limited number of iterations."""
     return variant(folder, TABLE_IV, *SMALL, *changes)
 
 
 def line_of(path: Path, start: str) -> int:
-    """1-based number of the first line that starts so."""
+    """Return the 1-based number of the first line with that start."""
     lines = path.read_text(encoding="utf-8").splitlines()
     return next(number for number, line in enumerate(lines, 1) if line.startswith(start))
 
 
 def runs_here(study: LoopStudy) -> list[ClosedLoopResult]:
-    """All jobs of a study, in this process, as a worker would do them: of a study that need not be a file."""
+    """Run all jobs of a study in this process as a worker does. The study needs no file."""
     making = CaseFactory(SweepStudy(study.base_dir, {}, study.source, ({},), is_sweep=False))
     with PlantProcess() as plant:
         return [

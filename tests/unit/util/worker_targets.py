@@ -1,4 +1,4 @@
-"""Targets for the tests of worker processes: a worker that does what a request names."""
+"""Targets for the tests of worker processes, which behave as a request names."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def hang() -> tuple[dict[str, Any], AnswerFunction]:
 
 
 def hang_in_c() -> None:
-    """Without ever letting another thread of Python run."""
+    """Hang without releasing the interpreter lock."""
     ctypes.PyDLL(None).usleep(600_000_000)
 
 
@@ -122,7 +122,7 @@ def answer(message: dict[str, Any], arrays: Arrays) -> Message:  # noqa: C901
 
 
 def answers_pipe() -> int:
-    """The pipe of the answers, as a file that has taken the worker over would find it."""
+    """Return the pipe of the answers, as hostile code in the worker could find it."""
     for number in range(3, 64):
         try:
             is_pipe = Path(f"/proc/self/fd/{number}").readlink().name.startswith("pipe:")

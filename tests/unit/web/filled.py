@@ -1,4 +1,4 @@
-"""A cell's journal of months for the tests of the page: parts with maps and passes, a queue, a plan that waits."""
+"""Write a cell's journal of months for the tests of the page: parts with maps and passes, a queue, a waiting plan."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ QUEUE = (
 
 
 def stats_of(rms_nm: float) -> dict[str, Any]:
-    """Facts of a map."""
+    """Return the facts of a map."""
     judged = [LineResult("RMS", rms_nm, LIMIT_NM, "nm", 0.1).facts()]
     return {"rms_nm": rms_nm, "pv_nm": 6.1 * rms_nm, "lsf_rms_nm": 0.7 * rms_nm, "band_rms_nm": None, "judged": judged}
 
 
 def figures_of(before_nm: float, after_nm: float, program: str = "") -> dict[str, Any]:
-    """Figures of a plan, as ``plan_figures`` makes them."""
+    """Return the figures of a plan as ``plan_figures`` makes them."""
     limits = [
         ("limits.max_removal_nm", 8.0 * before_nm, 1000.0, "nm", False),
         ("limits.max_pass_s", 1260.0 * before_nm / 18, 86400.0, "s", False),
@@ -78,7 +78,7 @@ def figures_of(before_nm: float, after_nm: float, program: str = "") -> dict[str
 
 
 def facts_of(before_nm: float, predicted_nm: float, measured_nm: float) -> dict[str, Any]:
-    """Facts of a pass."""
+    """Return the facts of a pass."""
     figures = figures_of(before_nm, predicted_nm)
     low, high = figures["expected_nm"]
     shown = {"contact_s": figures["dwell_s"], "expected_nm": [low, high], "seen_nm": measured_nm,
@@ -101,13 +101,13 @@ class FilledCell:
 
     config: CellConfig
     maps: bool = True
-    """Maps and plans have arrays; without them a history is written in a second."""
+    """Whether maps and plans have arrays; without them a history is written in a second."""
     rows: list[Row] = field(default_factory=list)
     jobs: int = 0
     places: int = 0
 
     def part(self, name: str, at_s: float, rms_nm: list[float], result: str = "accepted", hours: float = 2.0) -> int:
-        """Add a job with these measurements and a pass between two; "under way": it has not ended. Its number."""
+        """Add a job with these measurements and a pass between two; return its number. "under way": not ended."""
         self.jobs += 1
         number, ended = self.jobs, None if result == "under way" else at_s + hours * HOUR_S
         run_dir = f"runs/{name}"
@@ -167,12 +167,12 @@ class FilledCell:
         self.event(job, at_s, PlanApproved(cycle=cycle, program_sha256=program, by=by))
 
     def surface(self, rms_nm: float, seed: int) -> str:
-        """Put a map into the store; its name there."""
+        """Put a map into the store and return its name."""
         height, mask = _figure(rms_nm, seed)
         return self._put({"height_nm": height, "solve_mask": mask, "metric_mask": mask, "pitch_mm": np.float64(1.0)})
 
     def plan(self, before_nm: float, after_nm: float, seed: int) -> str:
-        """Put the arrays of a plan into the store; their name there."""
+        """Put the arrays of a plan into the store and return their name."""
         before, _ = _figure(before_nm, seed)
         residual, _ = _figure(after_nm, seed + 7)
         removal = before - residual + 4 * before_nm
@@ -198,7 +198,7 @@ class FilledCell:
 
 
 def _figure(rms_nm: float, seed: int) -> tuple[Any, Any]:
-    """A smooth surface of 61 x 61 samples over a circle, with that RMS."""
+    """Return a smooth surface of 61 x 61 samples over a circle with that RMS."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[-1:1:61j, -1:1:61j]
     mask = x**2 + y**2 <= 0.97**2
@@ -226,7 +226,7 @@ def months(cell: FilledCell, count: int, last_s: float = NOW_S, days: float = 0.
 
 
 def shop_cell(config: CellConfig, now_s: float = NOW_S, parts: int = 90) -> str:
-    """Months of parts, one under way whose second plan waits for approval, and four that wait. Its program's hash."""
+    """Write months of parts, one whose second plan waits for approval, and four waiting; return the program's hash."""
     cell = FilledCell(config)
     for _ in months(cell, parts, now_s - 2 * DAY_S, 0.85):
         pass

@@ -1,4 +1,4 @@
-"""A cell's page and API for a test: a daemon of a few answers on a real socket, and users of each role."""
+"""Serve a cell's page and API for a test: a fake daemon on a real socket, and users of each role."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Answers:
     hang: threading.Event | None = None
     subscribers: list[Any] = field(default_factory=list)
     looks: int = 0
-    """How often it was asked for what is shown live."""
+    """Number of requests for the live values."""
     live: dict[str, Any] = field(default_factory=dict)
-    """That differs from ``LIVE``."""
+    """Live values that differ from ``LIVE``."""
     does: Callable[[str, dict[str, Any]], None] = lambda _verb, _args: None
-    """Called with each order: what a test lets the daemon do."""
+    """Called with each command, as the action of the daemon."""
 
     def answer(self, verb: str, args: dict[str, Any]) -> dict[str, Any]:
         if verb not in {"live", "subscribe"}:
@@ -70,7 +70,7 @@ class Answers:
 
 @contextmanager
 def answering(state_dir: Path) -> Iterator[Answers]:
-    """It listens inside this block."""
+    """Run the fake daemon for the duration of the block."""
     state_dir.mkdir(parents=True, exist_ok=True)
     answers = Answers()
 
@@ -101,7 +101,7 @@ def answering(state_dir: Path) -> Iterator[Answers]:
 
 @dataclass
 class Served:
-    """The application, its daemon, and a token of each role."""
+    """Application with its daemon and a token of each role."""
 
     config: CellConfig
     client: TestClient
@@ -109,12 +109,12 @@ class Served:
     tokens: dict[Role, str]
 
     def ask(self, method: str, path: str, role: Role | None = Role.ENGINEER, **more: Any) -> Any:
-        """As a program with that role's token; None: without any."""
+        """Send a request as a program with that role's token; None: without a token."""
         headers = {} if role is None else {"Authorization": f"Bearer {self.tokens[role]}"}
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 
     def sign_in(self, role: Role = Role.OPERATE) -> dict[str, str]:
-        """As a browser: the client keeps its cookie; headers that its page would send."""
+        """Sign in as a browser: the client keeps the cookie; return the headers that the page sends."""
         answer = self.client.post("/api/session", json={"token": self.tokens[role]})
         assert answer.status_code == 200, answer.text
         return {"x-csrf-token": answer.json()["csrf"], "origin": "http://127.0.0.1"}
@@ -122,7 +122,7 @@ class Served:
 
 @contextmanager
 def served(folder: Path) -> Iterator[Served]:
-    """For the time of the block."""
+    """Serve the application for the duration of the block."""
     config = load_config(write_demo(folder / "demo", None, 2.0, 4, None).cell)
     users = UserFile(users_path(config))
     tokens = {role: users.add(f"{role}-person", role) for role in Role}

@@ -51,7 +51,7 @@ def burn_on() -> None:
 
 
 def threads_burn_on() -> None:
-    """All threads but the calling one."""
+    """Keep all threads except the calling one busy."""
     for _ in range(2):
         threading.Thread(target=burn_on, daemon=True).start()
     forever()

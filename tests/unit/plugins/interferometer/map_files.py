@@ -1,4 +1,4 @@
-"""Small valid files of the interferometers' own formats, as bytes, made without the readers: what tests vary or break.
+"""Small valid files of interferometer formats as bytes, made without the readers, which tests change or damage.
 
 Each holds the same map, ``HEIGHT_NM``: 6 rows x 8 columns, asymmetric, two samples missing.
 """
@@ -24,7 +24,7 @@ MISSING_COUNT = 2147483640
 
 
 def height_nm() -> FloatArray:
-    """The map that every example holds."""
+    """Return the map that every example contains."""
     row, column = np.mgrid[0:ROWS, 0:COLUMNS]
     height: FloatArray = 40.0 + 5.0 * column - 9.0 * row + 30.0 * ((row == 1) & (column == 2))
     height[0, 0] = height[5, 1] = np.nan
@@ -41,7 +41,7 @@ _FIELDS: dict[str, tuple[int, str]] = {
 
 
 def counts_of(height: FloatArray, nm: float) -> Any:
-    """Integers of ``nm`` each, missing ones as Zygo writes them."""
+    """Return the heights as integers of ``nm`` each, with missing ones as Zygo writes them."""
     return np.where(np.isnan(height), MISSING_COUNT, np.rint(np.nan_to_num(height) / nm)).astype(np.int64)
 
 
@@ -76,7 +76,7 @@ CONVERTER = np.dtype([("Category", _ASCII), ("BaseUnit", _ASCII), ("Parameters",
 
 
 def converter(category: str, unit: str, *parameters: float) -> Any:
-    """A converter as Mx writes it."""
+    """Return a converter as Mx writes it."""
     return np.array([(category, unit, np.array(parameters, dtype=np.float64))], dtype=CONVERTER)
 
 
@@ -157,7 +157,7 @@ def foursight(height: FloatArray = HEIGHT_NM, **attributes: str) -> bytes:
 
 
 def zygo_header(kind: str, shape: tuple[int, ...], **line: str) -> str:
-    """The 14 lines; ``line`` replaces the one of its number ("line8")."""
+    """Return the 14 lines of the header; ``line`` replaces the one with its number ("line8")."""
     rows, columns = shape
     lines = {
         1: f"Zygo {kind} Data File - Format {2 if kind == 'ASCII' else 1}", 2: '1 8 3 5 "Thu Jan 01 00:00:00 1970"',

@@ -1,4 +1,4 @@
-"""Ways to break a file: flipped bits, cuts, holes, splices, other numbers in text and fields, in archives too."""
+"""Damage a file: flipped bits, cuts, holes, splices, other numbers in text and fields, also inside archives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Mutation = Callable[[bytearray, Rng], None]
 
 
 def flip_bits(content: bytearray, rng: Rng) -> None:
-    """One to eight bits."""
+    """Flip one to eight bits."""
     for at in rng.integers(0, len(content), rng.integers(1, 9)):
         content[at] ^= 1 << int(rng.integers(8))
 
@@ -33,26 +33,26 @@ def truncate(content: bytearray, rng: Rng) -> None:
 
 
 def blank(content: bytearray, rng: Rng) -> None:
-    """A block of zeros, or of ones."""
+    """Fill a block with zeros or ones."""
     start, end = _block(content, rng)
     content[start:end] = bytes([int(rng.choice([0, 255]))]) * (end - start)
 
 
 def splice(content: bytearray, rng: Rng) -> None:
-    """A block of the file over, or into, another place of it."""
+    """Copy a block of the file over, or insert it into, another position."""
     start, end = _block(content, rng)
     at = int(rng.integers(len(content)))
     content[at : at + int(rng.integers(2)) * (end - start)] = content[start:end]
 
 
 def remove(content: bytearray, rng: Rng) -> None:
-    """A block gone."""
+    """Remove a block."""
     start, end = _block(content, rng)
     del content[start:end]
 
 
 def set_field(content: bytearray, rng: Rng) -> None:
-    """An integer or a real of some width and byte order over a place, mostly in the header."""
+    """Overwrite a position, mostly in the header, with an integer or a real of random width and byte order."""
     near = min(len(content), 1024) if rng.integers(4) else len(content)
     at = int(rng.integers(near))
     order = "<>"[int(rng.integers(2))]
@@ -67,7 +67,7 @@ def set_field(content: bytearray, rng: Rng) -> None:
 
 
 def set_number(content: bytearray, rng: Rng) -> None:
-    """Another number for one that stands there as text."""
+    """Replace a number in text with another one."""
     found = list(NUMBER.finditer(content, 0, 4096))
     if not found:
         set_field(content, rng)
@@ -80,7 +80,7 @@ MUTATIONS: tuple[Mutation, ...] = (flip_bits, truncate, blank, splice, remove, s
 
 
 def mutated(content: bytes, rng: Rng) -> bytes:
-    """The content, broken in one to three ways; of an archive, two times in three one of its members."""
+    """Return the content with one to three kinds of damage; of an archive mostly a member is damaged."""
     if content.startswith(b"PK") and rng.integers(3):
         return _mutated_member(content, rng)
     broken = bytearray(content)
@@ -91,7 +91,7 @@ def mutated(content: bytes, rng: Rng) -> bytes:
 
 
 def _mutated_member(content: bytes, rng: Rng) -> bytes:
-    """An archive whose checksums are right and one of whose members is broken; every other time of the MD5 sums too."""
+    """Return an archive with a damaged member and correct checksums; in half of the cases the MD5 sums match, too."""
     members = unzipped(content)
     name = list(members)[int(rng.integers(len(members)))]
     old = members[name]

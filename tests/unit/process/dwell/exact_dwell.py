@@ -1,4 +1,4 @@
-"""Ways of dwell solvers to be held to that share nothing with them, and the literature's methods."""
+"""Independent reference solutions for the dwell solvers, and methods of the literature."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from polishd.process.dwell.problem import DwellProblem
 
 
 def normal_equations(problem: DwellProblem) -> tuple[sparse.csr_array, FloatArray]:
-    """Hessian H and gradient c at 0 of the objective: ``t'Ht/2 + c't``, written out."""
+    """Return Hessian H and gradient c at 0 of the objective ``t'Ht/2 + c't``, written out."""
     counted = problem.solve_mask.ravel()
     rows = sparse.csr_array(sparse.csr_array(problem.effect.matrix)[np.flatnonzero(counted)])
     m, n = rows.shape

@@ -1,4 +1,4 @@
-"""A small independent process for the tests of identification: elliptic Gaussian spots, summed one by one.
+"""Small independent process model for the tests of identification: sums elliptic Gaussian spots one by one.
 
 It shares no code with polishd.process: the effect of each parameter is written here once more.
 """
@@ -31,7 +31,7 @@ SIZES_MM = (1.2, 2.0)
 PEAK_NM_S = 20.0
 RADIUS_MM = 16.0
 BEYOND_MM = 23.0
-"""The raster ends where no spot reaches the disc any more."""
+"""Half width of the raster: beyond it no spot reaches the disc."""
 PITCH_MM = 1.0
 NODE = np.array([-1.0, 1.0]) / np.sqrt(12) * PITCH_MM
 """Two Gauss points a cell and way: a sample is the mean over its cell."""
@@ -40,7 +40,7 @@ PROCESS = ToolProcess()
 
 @dataclass(frozen=True)
 class Polished:
-    """Dwells at n points of a disc, and what they removed."""
+    """Dwells at n points of a disc, with their removal."""
 
     place: FloatArray
     time: FloatArray
@@ -49,11 +49,11 @@ class Polished:
     noise: float = 0.3
 
     def removed(self, truth: Mapping[str, float], seed: int | None = 0) -> RemovalMap:
-        """What an instrument sees of it; without noise where there is no seed."""
+        """Return the removal as an instrument measures it; without noise where the seed is None."""
         return seen(removal(self, truth), self.noise, seed)
 
     def blocks(self, **other: FloatArray) -> ExecutedBlocks:
-        """As the controller has it: ``other`` gammas by projection."""
+        """Return the blocks as the controller models them: ``other`` gammas by projection."""
         return ExecutedBlocks(self.place, self.place, self.time, self.azimuth, {"linear": self.gamma, **other})
 
     def identified(

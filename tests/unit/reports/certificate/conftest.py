@@ -1,4 +1,4 @@
-"""Runs that are written once, and certificates that are made once."""
+"""Shared fixtures: runs and certificates that are made once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.unit.reports.certificate.runs import torn_run, whole_run
 
 @dataclass(frozen=True)
 class Made:
-    """A certificate, and the keys that may verify it."""
+    """Certificate with the keys that can verify it."""
 
     pdf: Path
     key: Path
@@ -33,25 +33,25 @@ class Made:
 
 @pytest.fixture(scope="session")
 def whole_files(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
-    """Read only."""
+    """Write the run once; tests must not change it."""
     return whole_run(tmp_path_factory.mktemp("whole") / "cell")
 
 
 @pytest.fixture(scope="session")
 def torn_files(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
-    """Read only."""
+    """Write the run once; tests must not change it."""
     return torn_run(tmp_path_factory.mktemp("torn") / "cell")
 
 
 @pytest.fixture
 def whole(whole_files: DemoFiles, tmp_path: Path) -> Path:
-    """The run folder of a whole run, to be spoilt."""
+    """Return a copy of a complete run folder that the test may damage."""
     return Path(shutil.copytree(whole_files.run_dir, tmp_path / "whole"))
 
 
 @pytest.fixture(scope="session")
 def certified(whole_files: DemoFiles, tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """Signed; read only."""
+    """Make a signed certificate once; tests must not change it."""
     folder = tmp_path_factory.mktemp("certified")
     made = Made(folder / "part.pdf", folder / "shop.key")
     signature.make_key(made.key)
@@ -64,7 +64,7 @@ def certified(whole_files: DemoFiles, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.fixture
 def signed(certified: Made, tmp_path: Path) -> Made:
-    """The same, to be spoilt."""
+    """Return a copy of the certificate that the test may damage."""
     folder = tmp_path / "signed"
     shutil.copytree(certified.pdf.parent, folder)
     return Made(folder / certified.pdf.name, folder / certified.key.name)

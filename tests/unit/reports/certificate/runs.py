@@ -1,4 +1,4 @@
-"""Run folders as the daemon leaves them, written by its own journal, records and steps, without a cell."""
+"""Write run folders as the daemon does, with its journal, records and steps, without a cell."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ APERTURE_MM = 30.0
 BLOCKS = 40
 CUTOFF_MM = 2.4
 BETTER = 8.0
-"""Times, of each whole pass."""
+"""Factor by which each complete pass reduces the error."""
 
 
 def heights(seed: int, size: float) -> FloatArray:
-    """(64, 64) nm: astigmatism, a bump and noise over the part; tilt, too."""
+    """Return heights (64, 64) in nm: tilt, astigmatism, a bump and noise over the part."""
     axis = (np.arange(64) - 31.5) * PITCH_MM
     x, y = np.meshgrid(axis / 15.0, -axis / 15.0)
     noise = np.random.default_rng(seed).normal(0.0, 0.02, x.shape)
@@ -51,7 +51,7 @@ def heights(seed: int, size: float) -> FloatArray:
 
 @dataclass
 class Making:
-    """A run that is being written."""
+    """Writer of a run."""
 
     files: DemoFiles
     recipe: Recipe
@@ -61,10 +61,10 @@ class Making:
     size_nm: float = 20.0
     readers: Sequence[Any] = field(default_factory=list)
     ripple: Sequence[dict[str, Any]] = ()
-    """Lines that each pass adds."""
+    """Ripple lines that each pass adds."""
 
     def measure(self, cycle: int) -> None:
-        """A map, conditioned, journalled and kept."""
+        """Condition a map, record it in the journal and save it."""
         self.folder.cycle(cycle).create()
         path = dat(self.folder.path / f"cycle-{cycle:02d}" / "map.dat", heights(cycle, self.size_nm), part="DEMO-100")
         surface = read_map(path, self.readers)
@@ -135,7 +135,7 @@ def begin(
     repeatability_nm: float | None = 0.2,
     **sections: dict[str, Any],
 ) -> Making:
-    """A small part in the demo's cell, its job begun; ``prepare`` is called before anything is read."""
+    """Begin the job of a small part in the demo's cell; ``prepare`` is called before any file is read."""
     files = write_demo(out, None, 2.0, 4, None)
     part = {"part": {"aperture_mm": APERTURE_MM}}
     files.cell.write_text(with_keys(with_values(files.cell.read_text(), part), sections))
@@ -159,7 +159,7 @@ def begin(
 
 
 def whole_run(out: Path, **sections: Any) -> DemoFiles:
-    """Two passes, the last of which brings the part into tolerance; nothing went wrong."""
+    """Write a run of two passes without an error, the last of which reaches the tolerance."""
     made = begin(out, **sections)
     with closing(made.journal):
         for cycle in (0, 1):
@@ -171,7 +171,7 @@ def whole_run(out: Path, **sections: Any) -> DemoFiles:
 
 
 def torn_run(out: Path) -> DemoFiles:
-    """A pass that was interrupted at a third, after a link was lost, and a whole one; not in tolerance after it."""
+    """Write a run with a pass that a lost link interrupted at a third, and a complete one; not in tolerance."""
     made = begin(out)
     with closing(made.journal):
         made.size_nm = 60.0
