@@ -37,7 +37,7 @@ class Source:
 
     @property
     def module(self) -> str:
-        """Its dotted name, as an import says it."""
+        """Dotted name of the module, as in an import."""
         return self.name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
     def at(self, node: ast.AST, message: str) -> str:

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "contributing"
 NEEDED = ("polishd", "tests", "examples", "pyproject.toml")
-"""Of the tree, what a patch changes and what its test needs."""
+"""Parts of the tree that a patch changes or its test needs."""
 NOT_COPIED = shutil.ignore_patterns("data", "*.prof")
 EXAMPLES = ("device", "map_format", "dwell_solver", "config_key", "report_figure")
 MOST_PLACES = {"device": 0, "map_format": 1, "dwell_solver": 1, "config_key": 4, "report_figure": 1}

@@ -11,7 +11,7 @@ from tests.kinds import kind, mark_others_full
 
 
 class Case:
-    """As much of a test's case as the rule looks at."""
+    """Parts of a test's case that the rule uses."""
 
     def __init__(self, name: str, *marks: Any, **params: Any) -> None:
         self.nodeid = f"{name}[{params}]"

@@ -194,7 +194,7 @@ class Cells:
 
 @pytest.fixture(scope="module")
 def cells(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cells]:
-    """Those that the chosen tests ask for, side by side."""
+    """Run the cells that the selected tests need, in parallel."""
     chosen: list[Any] = [item for item in request.session.items if item.path == request.path]
     values = [value for item in chosen for value in item.callspec.params.values()]
     names = {value.cell for value in values if isinstance(value, Place)}

@@ -29,7 +29,7 @@ _COMMENT = re.compile(rb"\([^()]*\)|;[^\r]*")
 
 
 def time_number(line: bytes, dialect: str, encoding: str) -> tuple[int, int] | None:
-    """Where in the line the number stands that carries its time, or None."""
+    """Return the range of the number with the time of the line, or None."""
     # comments become blanks' like of one length: no word stands in them
     code = _COMMENT.sub(lambda found: b"_" * len(found[0]), line)
     word = _DWELL[dialect] if encoding == "dwell" else b"[Ff]"

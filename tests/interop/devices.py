@@ -73,7 +73,7 @@ class Master(Protocol):
 
 
 def wire(cell: Cell, name: str) -> Tcp | SerialLine:
-    """Where a device of the cell is."""
+    """Return the address of a device of the cell."""
     found = parse_address(cell.endpoints[name], Path())
     assert isinstance(found, Tcp | SerialLine)
     return found
@@ -99,7 +99,7 @@ def refusal(master: Master, table: Table, address: int, values: list[int] | None
 
 
 def text(words: list[int]) -> str:
-    """As the registers hold it."""
+    """Return the text that the registers hold."""
     return struct.pack(f">{len(words)}H", *words).rstrip(b"\0").decode()
 
 

@@ -51,7 +51,7 @@ class Hal:
         return words[found[0]] if found[0] in words else float.fromhex(found[0]) if "x" in found[0] else float(found[0])
 
     def set(self, pin: str, value: object) -> None:
-        """Of one that nothing is connected to."""
+        """Set a pin that is not connected."""
         said = self.say(f"setp {pin} {value}")
         assert not [line for line in said if "not found" in line.lower()], said
 

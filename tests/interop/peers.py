@@ -51,11 +51,11 @@ class Peer:
 
     name: str
     link: str
-    """One of ``LINKS``."""
+    """Key of ``LINKS``."""
     part: str
     """Which end of the link it is, and of ours the other."""
     source: str
-    """Where it comes from: Debian, PyPI or npm."""
+    """Source of the peer: Debian, PyPI or npm."""
     package: str
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class Peer:
 
     @property
     def version(self) -> str:
-        """Of what is installed; empty where nothing is."""
+        """Return the installed version; empty where the peer is not installed."""
         return {"Debian": _debian, "PyPI": _pypi, "npm": _npm}[self.source](self.package)
 
     @property
@@ -118,7 +118,7 @@ class Program:
 
 @contextmanager
 def program(name: str, *arguments: object) -> Iterator[Program]:
-    """One of ``programs/``, for the time of the block; it ends with its standard input."""
+    """Run a program of ``programs/`` for the duration of the block; it ends with its standard input."""
     path = PROGRAMS / name
     runner = "node" if path.suffix == ".js" else sys.executable
     environment = {**os.environ, "NODE_PATH": str(NODE_MODULES), "PYTHONPATH": os.pathsep.join([str(ROOT), str(SITE)])}

@@ -27,7 +27,7 @@ PLC = load_controller_profile("plc-modbus", Path())
 
 
 class Slave(Protocol):
-    """Its tables, from behind."""
+    """Slave whose tables the test accesses directly."""
 
     def put(self, table: Table, address: int, values: list[int]) -> None:
         """Fill."""
@@ -99,7 +99,7 @@ async def is_a_voice_coil_to_us(slave: Slave, address: Tcp | SerialLine) -> None
 
 
 async def is_a_plc_to_us(slave: Slave, address: Tcp) -> None:
-    """By the shipped profile plc-modbus."""
+    """Require that the driver works with the slave as a PLC, with the shipped profile plc-modbus."""
     slave.put("input", 0, [3, 1, 4464, 0, 9, 77, 0xC029, 0x4000, 0, 0, *[0] * 8, 100])
     slave.put("discrete", 0, [1, 0])
     link = Modbus(address, PLC.variables, SILENCE_S)

@@ -77,7 +77,7 @@ async def robot(running: Cell) -> AsyncIterator[FanucRmi]:
 
 
 def where(client: Any, folder: Path) -> dict[str, float]:
-    """Its position."""
+    """Return the position that the client reads."""
     return dict(client.read_cartesian_coordinates(output_path=str(folder / "position.jsonl"))["Position"])
 
 

@@ -21,7 +21,7 @@ At = Callable[[Cell, str], d.Master]
 
 
 class Master:
-    """Its client, which says Refused."""
+    """Master of libmodbus that raises Refused."""
 
     def __init__(self, address: Tcp | SerialLine) -> None:
         if isinstance(address, Tcp):

@@ -29,13 +29,13 @@ pytestmark = [PEER.needed, pytest.mark.system, pytest.mark.timeout(300)]
 SAFETY = 7
 MOST_NM = 150.0
 NO_PROGRESS_S = 0.5
-"""As of a link that reports at 10 Hz. Only where it is to end the pass: a busy machine stands longer."""
+"""Limit that ends the pass in tests of a standstill; on a busy machine other tests need a longer one."""
 CONTACT_S = 3.0
-"""Of contact before: on a busy machine LinuxCNC takes its time to go on."""
+"""Contact time before the event: on a busy machine LinuxCNC resumes late."""
 
 
 def write_files(folder: Path, robot: Mapping[str, float] = PATIENT["robot"], **fault: Any) -> DemoFiles:
-    """Of one pass, in which that happens to the robot."""
+    """Write the files of a job of one pass with this fault of the robot."""
     files = write_small(folder, patient=False, tolerance_nm=5.0, max_cycles=1)
     take(files)
     files.cell.write_text(with_keys(files.cell.read_text(), {**PATIENT, "robot": robot}))

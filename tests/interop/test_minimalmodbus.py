@@ -20,7 +20,7 @@ SECONDS = 2.0
 
 
 class Master:
-    """Its Instrument."""
+    """Master made of minimalmodbus's Instrument."""
 
     def __init__(self, cell: Cell, name: str) -> None:
         import minimalmodbus

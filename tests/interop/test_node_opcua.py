@@ -35,7 +35,7 @@ TYPES = {
 SILENCE_S = 20.0
 CONTROL = ("JobManagement", "JobOrderControl")
 NOT_OK = 2
-"""Of ResultEvaluationEnum."""
+"""Value of ResultEvaluationEnum."""
 SIM = """
 [plant]
 aperture_mm = 40.0

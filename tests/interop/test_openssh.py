@@ -47,7 +47,7 @@ def key(path: Path) -> str:
 
 @contextmanager
 def server(folder: Path) -> Iterator[int]:
-    """Its port; its key is in ``known_hosts``, the user's in ``home``."""
+    """Run sshd; its port. Its key is in ``known_hosts``, the user's key in ``home``."""
     port, config, known = free_port(), folder / "sshd_config", folder / "known_hosts"
     known.write_text(f"[127.0.0.1]:{port} {key(folder / 'host_key')}")
     key(folder / "home" / ".ssh" / "id_ed25519")

@@ -26,7 +26,7 @@ SILENCE_S = 10.0
 
 @pytest.fixture
 def handler() -> Iterator[Any]:
-    """Of a server with all variables of the profile, each 0 or empty."""
+    """Return the handler of a server with all variables of the profile, each 0 or empty."""
     from pyads.testserver import AdsTestServer, AdvancedHandler, PLCVariable
 
     made = AdvancedHandler()

@@ -21,7 +21,7 @@ NAMES = {"coil": "coils", "discrete": "discrete_inputs", "holding": "holding_reg
 
 
 class Master:
-    """Its client."""
+    """Master made of pyModbusTCP's client."""
 
     def __init__(self, address: Tcp) -> None:
         from pyModbusTCP.client import ModbusClient
@@ -46,7 +46,7 @@ class Master:
 
 
 class Bank:
-    """Its server's tables."""
+    """Tables of pyModbusTCP's server."""
 
     def __init__(self) -> None:
         from pyModbusTCP.server import DataBank

@@ -68,7 +68,7 @@ def greets(port: int, word: bytes) -> bool:
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """Where another user may go: pytest's own folders are for us alone."""
+    """Create a folder that other users can access, which pytest's folders do not permit."""
     with tempfile.TemporaryDirectory() as made:
         Path(made).chmod(0o755)
         yield Path(made)

@@ -14,7 +14,7 @@ from tests.system.browser import browsing
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "images" / "page"
 MOST_BYTES = 1_500_000
-"""Of all pictures together."""
+"""Permitted size of all pictures together."""
 
 
 def main(names: list[str]) -> int:

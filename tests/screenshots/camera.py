@@ -14,7 +14,7 @@ from tests.system.browser import Page
 SIZES = {"light": (1440, 900, "light"), "dark": (1440, 900, "dark"), "phone": (390, 844, "light")}
 """Width and height in CSS pixels, and colors."""
 COLORS = 64
-"""Of a picture: text stays sharp, and a picture has some 40 kB."""
+"""Number of colors of a picture: text stays sharp, and a picture has some 40 kB."""
 FREEZE = """
 {
   const now = NOW, Real = Date;

@@ -46,7 +46,7 @@ PHASES = (
     (0, "run", 480, 3660),
     (1, "measure", 3660, 3960), (1, "learn", 3960, 3990), (1, "solve", 3990, 4080), (1, "plan", 4080, 4150),
 )  # fmt: skip
-"""Of the part under way: cycle, phase, begin and end in s."""
+"""Phases of the part under way: cycle, phase, begin and end in s."""
 DRAWING = """
 [[tolerance]]
 rms_nm = 2.0
@@ -184,7 +184,7 @@ class Scene:
     events: tuple[PastEvent, ...] = ()
     """Events after those of every scene."""
     readings: Sequence[ReadingRow] = ()
-    """Of the last ten minutes."""
+    """Readings of the last ten minutes."""
     running: bool = True
     """A pass is under way."""
     daemon: bool = True
@@ -276,9 +276,9 @@ class FrozenServer:
 
     url: str
     token: str
-    """Of anna, who operates."""
+    """Token of the operator anna."""
     daemon: Answers | None
-    """Its daemon, where the scene has one."""
+    """Daemon of the scene; None without one."""
 
     def sign_in(self, page: Page, view: str = "dashboard") -> None:
         """Open a view as anna."""

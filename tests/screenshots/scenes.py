@@ -88,7 +88,7 @@ class Shot:
     name: str
     scene: str
     view: str
-    """Its hash."""
+    """Hash of the view in the URL."""
     act: Callable[[Page], None] = nothing
     """Done before the picture."""
 

@@ -48,7 +48,7 @@ ELSEWHERE = {
 }
 """Pages whose examples need what another test has: that test, which reads the page."""
 NOT_RUN: dict[str, str] = {}
-"""Of an example that cannot run, ``page:line``, and the reason."""
+"""Examples that cannot run: ``page:line`` and the reason."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Example:
 
     page: str
     line: int
-    """Of its first line of code."""
+    """Number of the first line of code."""
     code: str
 
     @property

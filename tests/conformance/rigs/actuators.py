@@ -89,7 +89,7 @@ async def cia402_actuator_spring(folder: Path) -> AsyncIterator[ActuatorRig]:
 
 @asynccontextmanager
 async def cia402_actuator_position(_: Path) -> AsyncIterator[ActuatorRig]:
-    """The same behind a socketcand server; profile position lifts."""
+    """A drive of CiA 402 behind a socketcand server; profile position lifts."""
     drive, coil = cia402.sim_coil()
     wire = await TcpWire(SocketcandPeer(drive)).start()
     address = SocketcandAddress("127.0.0.1", wire.port, "can0")

@@ -97,7 +97,7 @@ async def universal_robots(_: Path) -> AsyncIterator[RobotRig]:
 
 @asynccontextmanager
 async def universal_robots_dribbled(_: Path) -> AsyncIterator[RobotRig]:
-    """The same with RTDE byte by byte."""
+    """A Universal Robots controller with RTDE byte by byte."""
     fake = FakeController()
     fake.filter = dribbled
     async with _universal_robots(fake) as rig:
@@ -132,7 +132,7 @@ async def kuka_kvp(folder: Path) -> AsyncIterator[RobotRig]:
 
 @asynccontextmanager
 async def fanuc_rmi_dribbled(_: Path) -> AsyncIterator[RobotRig]:
-    """The same byte by byte, with blank lines between."""
+    """A FANUC controller over RMI byte by byte, with blank lines between."""
     fake = FakeFanuc()
     fake.filter = lambda data: [b"\r\n", *dribbled(data)]
     async with _fanuc_rmi(fake) as rig:
@@ -141,7 +141,7 @@ async def fanuc_rmi_dribbled(_: Path) -> AsyncIterator[RobotRig]:
 
 @asynccontextmanager
 async def kuka_kvp_dribbled(folder: Path) -> AsyncIterator[RobotRig]:
-    """The same with answers byte by byte."""
+    """A KUKA controller with answers byte by byte."""
     fake = FakeKuka(folder)
     fake.filter = dribbled
     async with _kuka_kvp(fake) as rig:
@@ -204,7 +204,7 @@ async def abb_rws(folder: Path) -> AsyncIterator[RobotRig]:
 
 @asynccontextmanager
 async def abb_rws_polled(folder: Path) -> AsyncIterator[RobotRig]:
-    """The same without one, byte by byte."""
+    """An ABB controller over Robot Web Services 1.0 without a subscription, byte by byte."""
     fake = FakeAbb(folder)
     fake.filter = dribbled
     async with _abb(fake, subscribes=False) as rig:

@@ -36,7 +36,7 @@ async def cia402_spindle_slcan(folder: Path) -> AsyncIterator[SpindleRig]:
 
 @asynccontextmanager
 async def cia402_spindle_socketcand(_: Path) -> AsyncIterator[SpindleRig]:
-    """The same behind a socketcand server."""
+    """A drive of CiA 402 behind a socketcand server."""
     drive, motor = cia402.sim_motor()
     wire = await TcpWire(SocketcandPeer(drive)).start()
     address = SocketcandAddress("127.0.0.1", wire.port, "can0")

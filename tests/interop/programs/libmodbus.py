@@ -22,7 +22,7 @@ ENOBASE = 112345678
 
 
 class Mapping(ctypes.Structure):
-    """Of ``modbus.h``."""
+    """Structure ``modbus_mapping_t`` of ``modbus.h``."""
 
     _fields_ = (
         *((name, ctypes.c_int) for name in ("nb_bits", "start_bits", "nb_input_bits", "start_input_bits")),

@@ -31,7 +31,7 @@ class Login(paramiko.ServerInterface):
 
 
 class Files(paramiko.SFTPServerInterface):
-    """Of the folder."""
+    """Files of the served folder."""
 
     def stat(self, path: str) -> Any:
         return self._tried(lambda: paramiko.SFTPAttributes.from_stat(self._local(path).stat()))

@@ -85,7 +85,7 @@ BESIDE = {"web": "web", "opcua": "opcua", "shop-connect": "shop connect", "shop-
 
 @pytest.fixture
 def served(tmp_path: Path) -> dict[str, Path]:
-    """By process, its file: a cell that has all sections, and a shop."""
+    """Return the configuration file of each process: a cell that has all sections, and a shop."""
     cell = tmp_path / "a cell" / "cell.toml"
     shutil.copytree(EXAMPLE.parent, cell.parent)
     more = """

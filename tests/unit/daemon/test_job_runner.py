@@ -127,7 +127,7 @@ class Hall:
         await self.until(state)
 
     async def wait(self, condition: Callable[[], Any]) -> None:
-        """Until it is so; pytest's timeout is the limit."""
+        """Wait until the condition is true; pytest's timeout is the limit."""
         while not condition() and not self.task.done():  # noqa: ASYNC110
             await asyncio.sleep(0)
         assert condition(), self.task

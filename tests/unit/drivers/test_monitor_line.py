@@ -15,7 +15,7 @@ MONITOR = {name: line.encode() for name, line in vectors("monitor").items()}
 
 
 def body(line: bytes) -> str:
-    """Of an answer."""
+    """Return the body of an answer."""
     found = lines.decode(line)
     assert found is not None
     return found[1]

@@ -36,7 +36,7 @@ async def listed(machine: Node) -> tuple[Any, str]:
 
 
 async def states(machine: Node) -> list[str]:
-    """Of the jobs, in their order; empty where that is not known."""
+    """Return the states of the jobs in their order; empty where unknown."""
     value, _ = await listed(machine)
     return [one.State[0].StateText.Text for one in value or ()]
 

@@ -23,7 +23,7 @@ SEEN = terms(4)[LEVEL:]
 
 
 def system(map_: SurfaceMap, height_nm: FloatArray | float, unknown: dict[tuple[int, int], float]) -> SystemMap:
-    """Of the frame of that map."""
+    """Return a system map in the frame of that map."""
     rows, columns = map_.height_nm.shape
     circle = ((rows - 1) / 2, (columns - 1) / 2, (rows - 1) / 2)
     solved = AbsoluteTestResult(4, SEEN, np.eye(len(SEEN)) * 0.01**2, unknown, 0.0, circle)

@@ -33,7 +33,7 @@ def measured(recipe: Recipe) -> MeasureResult:
 
 
 def at(measured: MeasureResult, rms_nm: float) -> MeasureResult:
-    """The same surface at another RMS, and whether that is in tolerance."""
+    """Return the measurement with another RMS, judged against the tolerance."""
     judged = (LineResult("RMS", rms_nm, TOLERANCE_NM, "nm"),)
     return replace(measured, stats=replace(measured.stats, rms_nm=rms_nm), judged=judged)
 

@@ -24,7 +24,7 @@ SMALLER = (
     ("tolerance_nm = 2.0", "tolerance_nm = 0.5"),
 )
 REMOVED = 0.9
-"""Of what was expected."""
+"""Removal relative to the expected one."""
 
 
 @pytest.fixture

@@ -44,7 +44,7 @@ ALARM = Notification(
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Of the cell's file, with a secret that only its owner may read."""
+    """Create the folder of the cell file with a secret that only its owner can read."""
     (tmp_path / "secret").write_text(f"{SECRET}\n")
     (tmp_path / "secret").chmod(0o600)
     return tmp_path

@@ -102,7 +102,7 @@ def shown(removal: FloatArray, pixels: MapPixels | None) -> PassEvidence:
 
 
 def off(lesson: EstimateUpdate, name: str, true: float = 0.0) -> float:
-    """By how many of its standard errors a parameter is found off."""
+    """Return the error of a parameter in units of its standard error."""
     found: dict[str, Any] = lesson.found["parameters"][name]
     return abs(found["value"] - true) / found["sigma"]
 

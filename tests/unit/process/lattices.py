@@ -58,7 +58,7 @@ def lattice_problem(radius_mm: float = 14.0, seed: int = 0, tolerance: float = 1
 
 
 def as_matrix(problem: DwellProblem) -> DwellProblem:
-    """The same problem with the effect's columns written out."""
+    """Return the problem with the effect's columns written out."""
     effect = problem.effect
     assert isinstance(effect, ConvolutionEffect)
     columns = np.stack([effect.removal_nm(row).ravel() for row in np.eye(effect.n)], axis=1)

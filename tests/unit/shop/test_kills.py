@@ -78,7 +78,7 @@ REQUESTS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("north", "cell/refuse", {"request": "r2", "why": "out of reach"}),
     ("ada", "remove", {"job": "disc", "why": "too hard"}),
 )  # fmt: skip
-"""Of a cell and the office, over the life of one part and the refusal of another; each waits for its answer."""
+"""Requests of a cell and the office: the life of one part and the refusal of another, one after the other."""
 ONCE = {"add": "already", "remove": "is removed"}
 """Requests that may be answered by that, where the shop was killed after it had taken them: a person reads it."""
 

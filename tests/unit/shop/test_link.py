@@ -112,7 +112,7 @@ class Rig:
         self.link = self.again()
 
     def again(self) -> ShopLink:
-        """As after a kill."""
+        """Return a new link, as after a kill."""
         assert self.config.shop is not None
         self.link = ShopLink(self.config, plugins_of(self.config), self.config.shop)
         return self.link

@@ -57,7 +57,7 @@ def study_file(folder: Path, loops: str = LOOPS, more: str = "raster = true", **
 
 
 def looped(path: Path, workers: int = 1) -> LoopRows:
-    """By the engine, in processes."""
+    """Run the study with the engine, in processes."""
     swept = load_swept(path)
     rows = run_cases(swept, StudyOptions(workers=workers)).rows
     return case_runner.looped([run_of(row) for row in rows], swept.at({}).all_scenarios())  # type: ignore[union-attr]

@@ -54,7 +54,7 @@ def study(tmp_path: Path) -> Path:
 
 
 def answers(study: Path, *cases: Case) -> list[dict[str, Any]]:
-    """Of a worker in this process."""
+    """Return the answers of a worker in this process."""
     requests, found = io.BytesIO(), io.BytesIO()
     for case in cases:
         array_stream.write(requests, {"study": str(study), "run": "r", "case": asdict(case)})

@@ -52,7 +52,7 @@ def test_size_40_as_a_diameter_is_the_papers_main_process(rows: tuple[SpotRow, .
 
 
 def removed_mm3(row: SpotRow) -> float:
-    """By adaptive quadrature of ``k p v`` over the contact, for a minute; the dissipative shift is left out."""
+    """Return the removal of a minute by adaptive quadrature of ``k p v``, without the dissipative shift."""
     figures, spot = row.figures, row.section
     radius = spot.size_mm * (1.0 if row.size_is == "radius" else 0.5)
     spin, dip, height = spot.rpm * np.pi / 30, np.radians(spot.dip_deg), radius - figures.depth_mm

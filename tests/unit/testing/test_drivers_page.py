@@ -40,7 +40,7 @@ WRONG = [
     ("self.lifts + 1", "self.lifts", "test_retracting_wins", "overtakes it"),
     (".line.open, ", ".make_safe, ", "test_opening_changes_nothing", "is ready, safe and has a state"),
 ]
-"""Of the driver, what is replaced by what; the test that fails, and of what it then says."""
+"""Text of the driver, its replacement, the test that then fails, and a part of its message."""
 
 
 def written(folder: Path, driver: str) -> Path:

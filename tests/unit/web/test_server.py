@@ -24,14 +24,14 @@ from tests.unit.web.served import answering
 
 @contextmanager
 def serving(cell: Path) -> Iterator[tuple[str, int]]:
-    """Where it listens."""
+    """Run the page's server for the duration of the block; its address."""
     with serving_verb("web", str(cell)) as at:
         yield at
 
 
 @contextmanager
 def serving_verb(*words: str) -> Iterator[tuple[str, int]]:
-    """The same of any verb that serves."""
+    """Run a command that serves for the duration of the block; its address."""
     command = [sys.executable, "-m", "polishd.cli.app", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:

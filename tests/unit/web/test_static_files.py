@@ -16,7 +16,7 @@ from tests.unit.web.served import Served, served
 
 STATIC = Path(str(resources.files("polishd.web") / "static"))
 MOST_BYTES = 1_200_000
-"""Of all files of the page, not compressed."""
+"""Permitted size of all files of the page, not compressed."""
 IMPORT = re.compile(r"""(?:from|import)\s*\(?["'`](/[^"'`$]+|\./[^"'`$]+|\.\./[^"'`$]+)["'`]""")
 
 

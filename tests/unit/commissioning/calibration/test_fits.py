@@ -63,7 +63,7 @@ def test_stiffnesses_are_found_and_a_cell_takes_them(polishd: Polishd, tmp_path:
 
 
 def made_up(path: Path, n: int, spread: float, seed: int) -> Path:
-    """The same places, and invented numbers."""
+    """Write a file with the same places and invented numbers."""
     rows = np.loadtxt(loading_tests(path, n, 0.0, seed), delimiter=",", skiprows=1)
     rows[:, -1] = 1.5 * (1 + spread * np.random.default_rng(seed).uniform(-1, 1, n))
     np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="", fmt="%.9g")

@@ -33,7 +33,7 @@ QUARTERS = ["--angles", "0,90,180,270"]
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Path:
-    """Of a commissioned instrument."""
+    """Write a cell with a commissioned instrument."""
     commissioned(tmp_path)
     path = tmp_path / "cell.toml"
     path.write_text(with_values(EXAMPLE.read_text(), {"instrument": {"profile": "instrument.toml"}}))

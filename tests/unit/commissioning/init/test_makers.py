@@ -85,7 +85,7 @@ REACH_MM = {
     "gp25": 1730.0,
     "tx2-90": 900.0,
 }
-"""As the makers' data sheets state it, from axis 1 to the wrist."""
+"""Values of the makers' data sheets, from axis 1 to the wrist."""
 
 
 def _wrist_reach_mm(dh: Any) -> float:

@@ -33,7 +33,7 @@ def cell(made: Path, tmp_path: Path) -> Path:
 
 
 def setup(cell: Path) -> dict[str, tuple[Any, str, str]]:
-    """By step: whether it is done, what was found, the command."""
+    """Return for each step whether it is done, the finding, and the command."""
     said = CliRunner().invoke(app, ["init", str(cell), "--status", "--json"])
     assert said.exit_code == 0, said.output
     found = json.loads(said.stdout.splitlines()[-1])["steps"]

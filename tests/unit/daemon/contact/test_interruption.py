@@ -59,7 +59,7 @@ def interrupted(
 
 
 def touched(journal: Journal) -> dict[int, str]:
-    """By block: ``+`` known to touch, ``-`` known not to, ``?``; of those that are recorded."""
+    """Return for each recorded block whether it touched: ``+`` yes, ``-`` no, ``?`` unknown."""
     blocks = journal.executed(2)
     words = {1.0: "+", 0.0: "-"}
     return {int(seq): words.get(float(known), "?") for seq, known in zip(blocks.seq, blocks.touched, strict=True)}

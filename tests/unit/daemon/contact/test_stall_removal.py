@@ -17,7 +17,7 @@ from tests.unit.daemon.small import small_recipe
 
 TIMES = TimeLimits(ActuatorTimes(), RobotTimes(report_s=0.1), SpindleTimes())
 NO_LIMIT_NM = 1e6
-"""By its removal a standstill is noticed earlier; here its time alone counts."""
+"""Removal limit without effect, so that only the time of a standstill counts."""
 
 
 @pytest.mark.parametrize("points", [1, FIRST_POINTS - 1, FIRST_POINTS + 5])

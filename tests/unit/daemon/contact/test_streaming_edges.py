@@ -31,7 +31,7 @@ class Scripted:
         self.sent: list[Segment] = []
         self.slept_s: list[float] = []
         self.gains_s = 0.01
-        """Of motion, by each block that is sent; a nap uses up its own time."""
+        """Motion time that each sent block adds; a sleep uses its duration of it."""
 
     async def progress(self) -> RobotProgress:
         if not self.looks:

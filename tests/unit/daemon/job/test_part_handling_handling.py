@@ -53,7 +53,7 @@ def proving(bench: Bench, asked: TouchOff = ASKED, **job: Any) -> Any:
 
 
 def sits(bench: Bench, *positions_mm: float | None) -> None:
-    """Where the tool meets the part at the places, one after the other; then where it should."""
+    """Set the positions at which the tool touches the part at each place; later ones are nominal."""
     left = list(positions_mm)
     bench.fake.actuator.touch_mm = lambda: left.pop(0) if left else 5.0
 

@@ -28,7 +28,7 @@ from tests.rs274 import RS274
 from tests.unit.daemon.small import APERTURE_MM, Bench, open_journal, record_warm_starts, small_program, small_recipe
 
 TRUTH = 0.8
-"""Of what its model says, the tool removes so much."""
+"""True removal of the tool relative to its model."""
 CONTACT = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3, excess_nm=1e3)
 
 

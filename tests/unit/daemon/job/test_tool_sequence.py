@@ -27,7 +27,7 @@ from tests.unit.process.gaussian import spot_effect
 
 WIDE_N = 20.0
 WIDE_TRUTH = 0.8
-"""Of what its model says, the wide tool removes so much; the narrow one all."""
+"""True removal of the wide tool relative to its model; the narrow tool agrees with its model."""
 
 
 def wide_effect(request: RemovalRequest) -> RemovalAnswer:

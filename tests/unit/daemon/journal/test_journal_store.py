@@ -24,7 +24,7 @@ EVENTS = "SELECT at FROM event ORDER BY at"
 
 
 class Clock:
-    """Of the store."""
+    """Clock of the store."""
 
     now_s = 10.0
 

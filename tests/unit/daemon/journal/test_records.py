@@ -137,7 +137,7 @@ async def test_a_job_knows_the_last_map_of_any_other_and_nothing_else_of_it(tmp_
 
 
 def passes(journal: Journal) -> dict[tuple[int, int], tuple[Any, ...]]:
-    """Of all jobs, by job and cycle, what may change after the begin."""
+    """Return the columns of all passes that may change after the begin, by job and cycle."""
     sql = "SELECT job, cycle, how, facts, uncertain_from, uncertain_to, ended IS NULL, plan FROM pass"
     return {(job, cycle): tuple(rest) for job, cycle, *rest in journal.store.read(sql)}
 

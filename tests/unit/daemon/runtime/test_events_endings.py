@@ -364,7 +364,7 @@ async def test_a_lost_journal_still_has_last_words(site: Site, monkeypatch: pyte
 
 
 def lose(journal: Journal) -> None:
-    """As when its disk is full: it takes no more."""
+    """Make the journal refuse records, as on a full disk."""
     with journal._store._use:
         journal._store._connection.execute("PRAGMA query_only=ON")
 

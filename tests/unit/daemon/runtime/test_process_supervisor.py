@@ -26,7 +26,7 @@ from tests.unit.daemon.test_app import Site
 
 
 class Systemd:
-    """Its end of the socket; an abstract one has a name that begins with @."""
+    """systemd's end of the socket; the name of an abstract socket begins with @."""
 
     def __init__(self, address: str, **environment: str) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -49,7 +49,7 @@ class Systemd:
 
 @pytest.fixture(params=["path", "abstract"])
 def systemd(request: pytest.FixtureRequest) -> Iterator[Systemd]:
-    """By a path as short as systemd's own: a socket's has room for 107 characters, and ``tmp_path`` may have more."""
+    """Open a socket with a short path, as systemd's: 107 characters are permitted, and ``tmp_path`` may be longer."""
     with tempfile.TemporaryDirectory(prefix="polishd-", dir="/tmp") as folder:
         address = f"{folder}/notify" if request.param == "path" else f"@polishd-test-{os.getpid()}"
         found = Systemd(address, WATCHDOG_USEC="40000", WATCHDOG_PID=str(os.getpid()))

@@ -24,7 +24,7 @@ from tests.programs import plan_of
 
 TIMES = RobotTimes(silence_s=2.0, watchdog_s=8.0, lifts=False)
 SPEED = 0.5
-"""Of the controller's clock: a program of 60 blocks lasts 4 s."""
+"""Speed of the controller's clock: a program of 60 blocks lasts 4 s."""
 STOPPED = [{"_type": "rap-execution", "_title": "execution", "ctrlexecstate": "stopped"}]
 
 

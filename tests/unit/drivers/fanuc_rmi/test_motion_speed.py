@@ -14,7 +14,7 @@ MOVE = StraightMove((0.0, 0.0, 0.0), (0.0, 3.0, 0.0), 20.0)
 
 
 def times(asked_s: float, late_s: float = 0.0) -> PoseTimes:
-    """Of a pose at once."""
+    """Return the times of a pose that is reached at once."""
     return PoseTimes(asked_s, asked_s + late_s)
 
 

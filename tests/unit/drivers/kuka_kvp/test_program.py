@@ -161,7 +161,7 @@ class Followed:
         return self.tracker
 
     def run_s(self, time_s: float) -> float:
-        """As the watchdog has it: all of the time since the last sample where that ran."""
+        """Return the run time as the watchdog counts it: all time since the last sample if that ran."""
         ran = self.sample.phase == KrlPhase.RUNS and self.sample.active
         return self.sample.run_s + (time_s + 10.0 - self.sample.time_s if ran else 0.0)
 

@@ -23,7 +23,7 @@ from tests.patience import SOON_S
 from tests.programs import plan_of
 
 SLOW = 20.0
-"""Its seconds in one of ours: a block lasts 50 ms."""
+"""Speed of the PLC's clock: a block lasts 50 ms."""
 
 
 def plan(blocks: int = 60, approach: int = 5) -> Plan:

@@ -30,7 +30,7 @@ def sensor(address: Tcp, times: SensorTimes | None = None) -> ProfiledForceSenso
 
 
 def body(line: bytes) -> str:
-    """Of an answer."""
+    """Return the body of an answer."""
     found = lines.decode(line)
     assert found is not None
     return found[1]

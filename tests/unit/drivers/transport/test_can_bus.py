@@ -10,7 +10,7 @@ from polishd.drivers.transport.can_bus import CanBus
 
 
 class Garbled(can.BusABC):
-    """As python-can's socketcand does: the traceback is part of what it says."""
+    """Bus that raises errors with a traceback in their text, as python-can's socketcand does."""
 
     def __init__(self, message: str) -> None:
         super().__init__(channel="can0")

@@ -34,7 +34,7 @@ def heights_nm(missing: bool = True) -> FloatArray:
 
 
 def x3p_file(**options: Any) -> bytes:
-    """By x3pio: metres, first row the lowest."""
+    """Return an X3P file by x3pio: meters, first row the lowest."""
     file = io.BytesIO()
     options = {"x_scale": PITCH_MM / 1e3, "y_scale": PITCH_MM / 1e3} | options
     x3pio.write(file, heights_nm()[::-1] / 1e9, **options)
@@ -57,7 +57,7 @@ def unzipped(content: bytes) -> dict[str, bytes]:
 
 
 def sdf_binary(z_scale: float = 1e-9, pitch_m: tuple[float, float] = (PITCH_MM / 1e3, PITCH_MM / 1e3)) -> bytes:
-    """By hand after ISO 25178-71: header of ISO-1.0, doubles, DBL_MAX where not measured, first row the lowest."""
+    """Return an SDF file after ISO 25178-71: header ISO-1.0, doubles, DBL_MAX where not measured, first row lowest."""
     z = heights_nm()[::-1]
     head = b"bISO-1.0" + b"polisher".ljust(10) + b"010220251230" + b"010220251231"
     head += struct.pack("<HHddddBBB", COLUMNS, ROWS, *pitch_m, z_scale, -1.0, 0, 7, 0)
@@ -65,7 +65,7 @@ def sdf_binary(z_scale: float = 1e-9, pitch_m: tuple[float, float] = (PITCH_MM /
 
 
 def sdf_second(kind: sdfio.DataType = sdfio.DataType.BINARY64, **header: Any) -> bytes:
-    """By sdfio, to the standard's second edition: two counts of 4 bytes make its header 85 bytes long."""
+    """Return an SDF file of the second edition by sdfio: two counts of 4 bytes make the header 85 bytes long."""
     file = io.BytesIO()
     metadata = sdfio.Metadata(revision=sdfio.Revision.ISO_2_0, data_type=kind, **header)
     pitch_m = PITCH_MM / 1e3
@@ -74,7 +74,7 @@ def sdf_second(kind: sdfio.DataType = sdfio.DataType.BINARY64, **header: Any) ->
 
 
 def sdf_ascii(**options: Any) -> bytes:
-    """By sdfio, as text."""
+    """Return an SDF file as text by sdfio."""
     file = io.BytesIO()
     words: dict[str, Any] = {"x_scale": PITCH_MM / 1e3, "y_scale": PITCH_MM / 1e3, "format": sdfio.FileFormat.ASCII}
     sdfio.write(file, heights_nm()[::-1] / 1e9, **(words | options))
@@ -82,7 +82,7 @@ def sdf_ascii(**options: Any) -> bytes:
 
 
 def gwy_file(unit: str = "m", lateral: str = "m", masked: bool = True, **fields: Any) -> bytes:
-    """By gwyfile: heights without holes, and a mask over HOLES."""
+    """Return a Gwyddion file by gwyfile: heights without holes, and a mask over HOLES."""
     z = heights_nm(missing=False)
     size = {"xreal": COLUMNS * PITCH_MM / 1e3, "yreal": ROWS * PITCH_MM / 1e3} | fields
     container = GwyContainer()
@@ -100,7 +100,7 @@ def gwy_bytes(container: Any) -> bytes:
 
 
 def fits_file(array: NDArray[Any] | None = None, **cards: Any) -> bytes:
-    """By astropy, big-endian doubles in nm unless an array is given; first row the lowest."""
+    """Return a FITS file by astropy: big-endian doubles in nm unless an array is given; first row the lowest."""
     from astropy.io import fits as astropy_fits
 
     hdu = astropy_fits.PrimaryHDU(heights_nm()[::-1] if array is None else array)
@@ -121,14 +121,14 @@ def fits_by_hand(cards: dict[str, str], data: bytes) -> bytes:
 
 
 def tiff_file(array: NDArray[Any] | None = None, **options: Any) -> bytes:
-    """By tifffile: doubles as displayed."""
+    """Return a TIFF file by tifffile: doubles as displayed."""
     file = io.BytesIO()
     tifffile.imwrite(file, heights_nm() if array is None else array, **options)
     return file.getvalue()
 
 
 def npy_file(array: NDArray[Any] | None = None) -> bytes:
-    """By NumPy."""
+    """Return a .npy file by NumPy."""
     file = io.BytesIO()
     np.save(file, heights_nm() if array is None else array, allow_pickle=True)
     return file.getvalue()
@@ -141,7 +141,7 @@ def coordinates_m() -> tuple[FloatArray, FloatArray]:
 
 
 def npz_file(**arrays: NDArray[Any]) -> bytes:
-    """By NumPy: X, Y and Z in metres, and whatever else is given."""
+    """Return a .npz file by NumPy: X, Y and Z in meters, and the given arrays."""
     x, y = coordinates_m()
     file = io.BytesIO()
     np.savez(file, **({"X": x, "Y": y, "Z": heights_nm() / 1e9} | arrays))

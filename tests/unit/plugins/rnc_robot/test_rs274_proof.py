@@ -160,7 +160,7 @@ def test_the_corpus_expects_what_the_interpreter_does(case: Case) -> None:
 
 
 def ends_mm(motion: list[str]) -> list[list[float]]:
-    """Where each feed move ends, mm."""
+    """Return the end of each feed move, mm."""
     unit, plane, found = 1.0, "XY", []
     for said in motion:
         if said.startswith("USE_LENGTH_UNITS"):

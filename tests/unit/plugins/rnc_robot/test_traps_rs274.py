@@ -27,7 +27,7 @@ class Good(NamedTuple):
     seconds: list[float]
     """Time of each timed point."""
     lines: list[int]
-    """Its 1-based line."""
+    """1-based lines."""
     rewritten: bytes | None = None
     """The text once the first point is given 1.25 s; None where its own style is shown elsewhere."""
 

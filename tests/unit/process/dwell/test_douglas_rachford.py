@@ -25,7 +25,7 @@ def problem() -> DwellProblem:
 
 @pytest.fixture(scope="module")
 def best(problem: DwellProblem) -> DwellSolution:
-    """By projected Newton steps on the written-out matrix."""
+    """Return the solution by projected Newton steps on the written-out matrix."""
     return newton_cg.solve(as_matrix(problem), 60.0, 1e-10)
 
 

@@ -47,7 +47,7 @@ def named(request: pytest.FixtureRequest, shared_data: Path) -> tuple[str, Dwell
 
 
 def off(found: CurvePoint, exact_s: FloatArray) -> float:
-    """By how much the residual RMS differs from the exact one's, relative."""
+    """Return the relative difference of the residual RMS from the exact one's."""
     exact = certify_dwell(found.problem, exact_s, solver="exact", iterations=0, seconds=0, stopped="").certificate
     assert exact.kkt_residual < 1e-8
     assert exact.objective == pytest.approx(found.solution.certificate.objective, rel=1e-7)

@@ -176,5 +176,5 @@ def seen(removal_nm: FloatArray, sigma_nm: float, seed: int | None) -> RemovalMa
 
 
 def slower(one: Polished, factor: float) -> Polished:
-    """The same with all times multiplied, hours of contact for the wear; and a map as poor as the removal is large."""
+    """Return the pass with all times and hours of contact multiplied, and map noise in proportion to the removal."""
     return replace(one, time=one.time * factor, noise=one.noise * max(1.0, factor))

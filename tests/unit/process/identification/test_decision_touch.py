@@ -49,7 +49,7 @@ def of_the_prior(known: PriorKnowledge, seed: int) -> Mapping[str, float]:
 
 
 def removed_evenly(known: PriorKnowledge, machine: Mapping[str, float]) -> float:
-    """By an even pass that begins now: with the rate of its begin, and of a part that lies as it should."""
+    """Return the removal of an even pass that begins now, with its initial rate and a correctly placed part."""
     own = {p.name for p in known.parameters if p.scope in {"tool", "cell"}} - {"wear"}
     return float(removal(polished(time="even"), {k: v for k, v in machine.items() if k in own})[disc()[1]].sum())
 
@@ -58,7 +58,7 @@ STATED = re.compile(r"([+-]?\d[\d.e+-]*) \+- (\d[\d.e+-]*)")
 
 
 def off_in_words(one: EstimatedShift, truth: Mapping[str, float]) -> Iterator[tuple[str, float]]:
-    """By how many of the errors that a note prints the machine is off each value that it prints."""
+    """Yield for each value in a note its name and the machine's deviation in units of the printed error."""
     true = np.array([truth[name] for name in one.parts])
     if one.name in LOGARITHMS:
         true = np.expm1(true)
@@ -75,7 +75,7 @@ KINDS = ("rate", "note: ", "learned: ")
 
 
 class Held:
-    """Of each statement how often its interval of 95 % held."""
+    """Counts of 95 % intervals that held, by statement."""
 
     def __init__(self) -> None:
         self.off: dict[str, list[float]] = defaultdict(list)

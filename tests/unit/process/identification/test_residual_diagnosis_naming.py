@@ -23,7 +23,7 @@ def judged(measured: np.ndarray) -> RemovalCheckResult:
 
 
 def named(measured: np.ndarray, again: tuple[Diagnosis, ...] | None = None) -> tuple[Diagnosis, ...]:
-    """Of a pass that should have removed ``removal()``."""
+    """Return the diagnoses of a pass that should have removed ``removal()``."""
     left = fit_residual(np.where(MASK, measured, 0.0), MASK, 1.0, removal())
     return residual_diagnosis.diagnose_pass(judged(measured), left, 62.0, again)
 

@@ -156,7 +156,7 @@ def test_asymmetric_marks_are_taken() -> None:
 
 
 def wrong_sets(rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """One of each kind of wrong set: strewn, another part's, mirrored, scaled, and too many replaced."""
+    """Yield one set of each wrong kind: strewn, another part's, mirrored, scaled, and too many replaced."""
     true = seen_px(SEVEN_MM[:6], MAP, rng.uniform(-2, 2), rng.uniform(-2, 2, 2))
     middle = (MAP.nx - 1) / 2
     yield rng.uniform(0, MAP.nx - 1, (rng.integers(3, 9), 2))

@@ -43,7 +43,7 @@ SHAPES: Mapping[tuple[int, int], FloatArray] = {
 
 
 def correlated(noise: MapNoise, rng: np.random.Generator) -> FloatArray:
-    """By the Fourier transform of exp(-d^2 / 2 L^2), on a plane much larger than the map."""
+    """Draw correlated noise by the Fourier transform of exp(-d^2 / 2 L^2), on a plane much larger than the map."""
     side = 160
     step = np.minimum(np.arange(side), side - np.arange(side)) * PITCH
     covariance = np.exp(-(step[:, None] ** 2 + step[None, :] ** 2) / (2 * noise.length_mm**2))

@@ -38,7 +38,7 @@ def maps(
     seed: int = 1,
     sense: int = 1,
 ) -> list[FloatArray]:
-    """Of each pose, with noise, a piston and a tilt; ``sense`` -1: turned the other way."""
+    """Return the map of each pose with noise, piston and tilt; ``sense`` -1: turned the other way."""
     rng = np.random.default_rng(seed)
     found = []
     for pose in poses:

@@ -28,13 +28,13 @@ SADDLE = Optic(400.0, 0.0, (-1 / (8 * 400.0 * 90.0**2),), (90.0, 0.0))
 """1 / R along y less than half of it, along x as much the other way."""
 GRID = Grid(45, 45, 0.25)
 PEAK = 0.005
-"""Of the spot's, in cells of a sixth of its radius."""
+"""Permitted difference relative to the spot's peak, in cells of a sixth of its radius."""
 SQUARES, CELL = 135, 9
 """Across, and of these to a cell: mean over cells, as a map has them, is what is compared."""
 
 
 def beside_a_flat(optic: Optic, place: FloatArray = CENTRE) -> CurvedContact:
-    """Of an optic that is none."""
+    """Return the contact on an optic that is not flat (None means flat)."""
     found = contact_on_curved_part(TOOL, optic, place)
     assert found is not None
     return found
@@ -127,7 +127,7 @@ def worn_nm(radius_mm: FloatArray, stretch: FloatArray) -> FloatArray:
 
 
 def spot_nm(curved: CurvedContact | None) -> FloatArray:
-    """The same of the controller's spot, in squares so fine that they hardly show."""
+    """Return the controller's spot in fine squares."""
     at = np.zeros((1, 2)), np.zeros((1, 2))
     lie, factor, turned = PointLocation(at), np.ones(1), None
     if curved is not None:

@@ -35,7 +35,7 @@ def dwells(grid: Grid, margin: int = 0, share: float = 1.0, seed: int = 0) -> Pr
 def both(
     grid: Grid, moves: Program, tolerance: float = 1e-4, ratios: tuple[float, float] = (0.835, 0.913)
 ) -> tuple[ConvolutionEffect, SparseEffect]:
-    """The same effect by convolutions and as a matrix."""
+    """Return the effect by convolutions and as a matrix."""
     rng = np.random.default_rng(3)
     gamma, factor = rng.uniform(*ratios, moves.n), rng.uniform(0.8, 1.2, moves.n)
     quick = convolution_effect(grid, SPOT, moves, gamma, factor, tolerance=tolerance)

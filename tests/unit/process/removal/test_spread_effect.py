@@ -51,7 +51,7 @@ def gamma_of(path: Program, ratios: tuple[float, float] = (0.8, 1.0)) -> FloatAr
 def both(
     path: Program, spot: Spot = SPOT, gamma: FloatArray | None = None, tolerance: float = 1e-3, grid: Grid = GRID
 ) -> tuple[SpreadEffect, SparseEffect]:
-    """The same effect without a matrix and with it."""
+    """Return the effect without a matrix and as a matrix."""
     ratio = gamma_of(path) if gamma is None else gamma
     factor = np.random.default_rng(3).uniform(0.9, 1.1, path.n)
     quick = spread_effect(grid, spot, path, ratio, factor, tolerance=tolerance)

@@ -42,7 +42,7 @@ class ArmCell:
     tip_mm: FloatArray
     axis: FloatArray
     origin_mm: tuple[float, float, float]
-    """Where the part's centre lies, as in ``[part]``."""
+    """Position of the part's center, as in ``[part]``."""
     rotation_rpy_deg: tuple[float, float, float]
 
 

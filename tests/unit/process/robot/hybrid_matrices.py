@@ -24,7 +24,7 @@ from polishd.process.robot.hybrid import (
 
 @dataclass(frozen=True)
 class Pose:
-    """Where every member of the robot is, for n poses; mm, vectors in the base frame."""
+    """Positions of all members of the robot for n poses; mm, vectors in the base frame."""
 
     tip_mm: FloatArray
     """(n, 3) tool tip."""

@@ -44,7 +44,7 @@ def cylinder(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def workspace(n: int, robot: HybridRobot = ROBOT) -> tuple[FloatArray, FloatArray]:
-    """Those in reach of the robot."""
+    """Return the poses in reach of the robot."""
     tip, axis = cylinder(n)
     reach = reachable(robot, tip, axis)
     return tip[reach], axis[reach]

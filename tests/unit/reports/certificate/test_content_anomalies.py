@@ -17,7 +17,7 @@ HELD = "pass 0 was interrupted: 3 of 40 blocks are recorded as executed"
 
 
 def rows(*published: Event) -> list[Mapping[str, Any]]:
-    """As the journal gives them back, ten seconds from one another."""
+    """Return the events as rows of the journal, ten seconds apart."""
     return [
         {"at": 1_760_000_000.0 + 10 * k, "cycle": event.cycle, "name": event.name, "data": dict(event.data)}
         for k, event in enumerate(published)

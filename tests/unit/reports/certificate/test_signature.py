@@ -47,7 +47,7 @@ def rewrite(made: Made, change: Change) -> None:
 
 
 def resealed(twin: dict[str, Any], key: Ed25519PrivateKey | None) -> None:
-    """As a forger would."""
+    """Seal the changed twin again, as a forger would."""
     twin["seal"] = seal.sealed(twin, key).model_dump(mode="json")
 
 

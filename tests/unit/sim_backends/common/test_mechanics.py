@@ -126,7 +126,7 @@ MODIFIED = dataclasses.replace(
         (0.0, -90.0, 82.3, 0.0),
     ),
 )
-"""The same arm by Craig's rows."""
+"""The arm in Craig's convention."""
 
 
 @pytest.mark.parametrize("robot", [UR5, MODIFIED], ids=["standard", "modified"])

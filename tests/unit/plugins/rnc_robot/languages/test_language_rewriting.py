@@ -27,7 +27,7 @@ DWELLS = {
     "melfa-basic": rb"^Dly ([-+.0-9eE]+)",
     "kawasaki-as": rb"^TWAIT ([-+.0-9eE]+)",
 }
-"""Where the times stand, said independently of the profiles; for programs of ``many``."""
+"""Positions of the times in programs of ``many``, independent of the profiles."""
 
 
 def numbers(name: str, text: bytes) -> list[bytes]:
