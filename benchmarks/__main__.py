@@ -24,6 +24,7 @@ from rich.table import Table
 import benchmarks
 from benchmarks.harness import Row
 from docs.reference.performance import DATA, read
+from polishd.util.files import write_atomic
 
 PREFIX = "bench_"
 BY_NAME = (
@@ -112,9 +113,9 @@ class Kept:
     def _put(self, rows: dict[tuple[str, str], dict[str, Any]]) -> None:
         """Write the rows in the order of their keys, all or none."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        draft = self._path.with_suffix(".tmp")
-        draft.write_text("".join(json.dumps(rows[key], allow_nan=False) + "\n" for key in sorted(rows)))
-        draft.replace(self._path)
+        write_atomic(
+            self._path, "".join(json.dumps(rows[key], allow_nan=False) + "\n" for key in sorted(rows)).encode()
+        )
         self._rows = rows
 
 
