@@ -171,8 +171,8 @@ TimeoutStartSec={start}
 TimeoutStopSec={stop}
 KillMode=mixed
 SuccessExitStatus=1
-# After a kill the daemon starts held and moves nothing, as after a missing device ({device}). Any other end needs the
-# operator, so there is no restart.
+# After a kill or a device error ({device}) the daemon starts again: held if a job was under way; an idle queue goes on.
+# Any other end needs the operator, so there is no restart.
 Restart=on-abnormal
 RestartForceExitStatus={device}
 RestartSec=10
