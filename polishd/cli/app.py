@@ -200,6 +200,7 @@ def run(
     ],
     correction: Correction = None,
     no_hold: Annotated[bool, Option("--no-hold", help="End instead of waiting for an operator")] = False,
+    start_held: Annotated[bool, Option("--start-held", help="Move nothing before polishd resume")] = False,
     queue: Annotated[bool, Option("--queue", help="Run the jobs of polishd queue, and wait for more")] = False,
     until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits")] = False,
     record: Record = None,
@@ -208,7 +209,7 @@ def run(
     """Run the daemon of one or several cells until their jobs end. After an interruption a cell starts held."""
     from polishd.cli.run import run_verb
 
-    how = {"queue": queue, "until_empty": until_empty}
+    how = {"queue": queue, "until_empty": until_empty, "start_held": start_held}
     raise typer.Exit(run_verb(cells, correction, holds=not no_hold, as_json=as_json, record=record, **how))
 
 

@@ -63,7 +63,7 @@ def tif(
 
 @app.command()
 def exponent(
-    spots: Annotated[Path, Argument(metavar="SPOTS.csv", help="Spots at several depths: depth_ratio, volume_mm3_min")],
+    spots: Annotated[Path, Argument(metavar="SPOTS.csv", help="Spots of one force: depth_ratio, volume_mm3_min")],
     out: Fragment = None,
     as_json: Json = False,
 ) -> None:

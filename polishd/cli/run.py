@@ -141,12 +141,15 @@ def run_verb(
     as_json: bool,
     queue: bool = False,
     until_empty: bool = False,
+    start_held: bool = False,
     record: Path | None = None,
 ) -> int:
     """Run the daemons, and return the worst exit code. The last lines on stderr show each cell's state and advice."""
     try:
         if until_empty and not queue:
             raise ConfigError("--until-empty needs --queue; add it, or remove both")
+        if start_held and not holds:
+            raise ConfigError("--start-held cannot be used with --no-hold; remove one of them")
         if queue and correction is not None:
             raise ConfigError("--correction cannot be used with --queue; set process.correction in the job's file")
         if record is not None and len(cells) > 1 and not record.is_dir():
@@ -156,7 +159,7 @@ def run_verb(
         names = _names(cells, [config for config, _ in loaded])
         with progress(names) as shows:
             runs = [
-                CellRun(config, hooks, partial(_shown, show), queue, until_empty, record)
+                CellRun(config, hooks, partial(_shown, show), queue, until_empty, start_held, record)
                 for (config, hooks), show in zip(loaded, shows, strict=True)
             ]
             ended = run_loop(run_cells(runs, holds=holds))

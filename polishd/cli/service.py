@@ -171,7 +171,7 @@ TimeoutStartSec={start}
 TimeoutStopSec={stop}
 KillMode=mixed
 SuccessExitStatus=1
-# After a kill or a device error ({device}) the daemon starts again: held if a job was under way; an idle queue goes on.
+# A service starts held and moves nothing before polishd resume: at boot, after a kill, after a device error ({device}).
 # Any other end needs the operator, so there is no restart.
 Restart=on-abnormal
 RestartForceExitStatus={device}
@@ -234,7 +234,7 @@ def _unit(cells: Sequence[Path], *, system: bool, queue: bool) -> tuple[str, str
         configs.append(config)
         end_s = max(end_s, build_cell(config, hooks).end_s)
     names = [config.cell.name for config in configs]
-    words = ["run", *(str(path.absolute()) for path in cells), *["--queue"] * queue]
+    words = ["run", *(str(path.absolute()) for path in cells), *["--queue"] * queue, "--start-held"]
     owner = cells[0].stat().st_uid
     text = DAEMON_UNIT.format(
         names=", ".join(names).replace("%", "%%"),

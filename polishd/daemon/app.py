@@ -153,6 +153,8 @@ class CellRun:
     """Run the queue, not the job of the cell's file, ..."""
     until_empty: bool = False
     """... until it is empty."""
+    start_held: bool = False
+    """Move nothing before an operator's ``resume``."""
     record: Path | None = None
     """File or folder for the recording of all messages on its links."""
 
@@ -325,7 +327,8 @@ async def _run_job(ready: _Ready, journal: Journal, shutdown: ShutdownRequest, *
             jobs.bus = bus
             await jobs.resume()
             requests = QueueRequests(config, jobs.queue, jobs.added, bus.publish)
-            runner = JobRunner(ready.cell, jobs, requests, bus, holds=holds, until_empty=run.until_empty)
+            how = {"holds": holds, "until_empty": run.until_empty, "start_held": run.start_held}
+            runner = JobRunner(ready.cell, jobs, requests, bus, **how)
             with shutdown.stopping(runner):
                 return await _serve(config.state_dir, runner)
 

@@ -55,6 +55,7 @@ log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 ORDERED, STOPPED, BEGUN = "held by command", "stopped by command", "this job was begun earlier"
+STARTED_HELD = "the daemon was started without an order to move"
 EMERGENCY = "motion was stopped at once, by command"
 IN_THE_WAY = (
     "the robot stands where its last pass or touch-off was interrupted, and the loader must not move below it. Move "
@@ -173,12 +174,16 @@ class JobRunner:
         *,
         holds: bool = True,
         until_empty: bool = False,
+        start_held: bool = False,
     ) -> None:
-        """``holds``: wait for an operator who can remove the cause; ``until_empty``: end with an empty queue."""
+        """``holds``: wait for an operator who can remove the cause; ``until_empty``: end with an empty queue.
+
+        ``start_held``: move nothing before an operator's ``resume``.
+        """
         self.jobs, self.bus = jobs, bus
         self._cell, self._requests = cell, requests
         cell.on_broken = partial(_publish_abort, bus)
-        self._holds, self._until_empty = holds, until_empty
+        self._holds, self._until_empty, self._start_held = holds, until_empty, start_held
         self._error: Exception | None = None
         """The error that holds the cell."""
         self._orders = OperatorCommandQueue()
@@ -317,7 +322,7 @@ class JobRunner:
             return StateResult(StateEvent.INTERRUPTED, BEGUN)
         if before:  # no operator has resumed since
             return StateResult(StateEvent.INTERRUPTED, before)
-        return StateResult(StateEvent.READY)
+        return StateResult(StateEvent.INTERRUPTED, STARTED_HELD) if self._start_held else StateResult(StateEvent.READY)
 
     async def _busy(self, what: str) -> None:
         await self.become(following(self.state, StateEvent.BUSY), what)

@@ -34,6 +34,16 @@ def test_a_pass_that_was_killed_goes_on_though_its_run_folder_was_deleted(tmp_pa
 
 
 @pytest.mark.full
+def test_a_new_job_that_is_started_held_begins_with_resume(tmp_path: Path) -> None:
+    with small_cell(tmp_path / "cell", seed=2, speed=20.0) as files, Daemon(files, "--start-held") as daemon:
+        held = daemon.wait_for_state("held")
+        assert held["reason"] == "the daemon was started without an order to move"
+        assert not events(files, "motion_started", "force_on")
+        assert client.request(files.state_dir, "resume")["state"] == "polishing"
+        daemon.wait_in_contact()
+
+
+@pytest.mark.full
 def test_a_robot_that_serves_another_client_is_waited_for_and_status_says_so(tmp_path: Path) -> None:
     """The watchdog is long: the lease ends when the other client disconnects, not because this machine is slow."""
     files = write_small(tmp_path / "cell")

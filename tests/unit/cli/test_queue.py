@@ -89,6 +89,7 @@ def test_a_name_that_waits_is_refused(polishd: Polishd, cell: Path, tmp_path: Pa
 
 def test_options_of_run_that_do_not_go_together(polishd: Polishd, cell: Path) -> None:
     assert "--until-empty needs --queue" in polishd("run", cell, "--until-empty").err
+    assert "--start-held cannot be used with --no-hold" in polishd("run", cell, "--start-held", "--no-hold").err
     assert "--correction cannot be used with --queue" in polishd("run", cell, "--queue", "--correction", "none").err
 
 

@@ -41,9 +41,9 @@ def test_a_unit_is_supervised_and_restarts_only_what_comes_up_held(polishd: Poli
     assert values(unit, "Type") == ["notify"]
     assert values(unit, "Restart") == ["on-abnormal"]
     assert values(unit, "RestartForceExitStatus") == [str(DeviceError.exit_code)]
-    assert values(unit, "ExecStart") == [f"{sys.executable} -m polishd run {EXAMPLE}"]
+    assert values(unit, "ExecStart") == [f"{sys.executable} -m polishd run {EXAMPLE} --start-held"]
     queue = polishd("service", "show", EXAMPLE, "--user", "--queue").out
-    assert values(queue, "ExecStart") == [f"{sys.executable} -m polishd run {EXAMPLE} --queue"]
+    assert values(queue, "ExecStart") == [f"{sys.executable} -m polishd run {EXAMPLE} --queue --start-held"]
     assert "LimitNICE" not in unit, "its own user's systemd may not give it"
     assert float(values(unit, "TimeoutStopSec")[0]) > float(values(unit, "WatchdogSec")[0])
 
@@ -54,7 +54,7 @@ def test_the_systems_unit_has_the_rights_of_the_host_page(polishd: Polishd) -> N
     for line in ("LimitNICE=-10", "LimitMEMLOCK=infinity", "CPUWeight=1000"):
         assert line in unit
         assert line in page
-    assert len(values(unit, "ExecStart")[0].split()) == 6
+    assert len(values(unit, "ExecStart")[0].split()) == 7
 
 
 def test_install_writes_it_and_says_how_to_start_it(polishd: Polishd, home: Path, odd: Path) -> None:

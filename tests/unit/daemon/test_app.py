@@ -64,14 +64,14 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 class Running:
     """A daemon on the bench's cell, and the run of it."""
 
-    def __init__(self, bench: Bench, *, holds: bool = True, **changes: Any) -> None:
+    def __init__(self, bench: Bench, *, holds: bool = True, start_held: bool = False, **changes: Any) -> None:
         self.bench = bench
         self.published: list[Event] = []
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
         bus = EventBus(sinks=(bench.journal.record_event, self.published.append))
         jobs = SingleJob(bench.journal, job.folder, job)
         requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
-        self.daemon = JobRunner(bench.fake.cell, jobs, requests, bus, holds=holds)
+        self.daemon = JobRunner(bench.fake.cell, jobs, requests, bus, holds=holds, start_held=start_held)
         self.task: asyncio.Task[Outcome] | None = None
 
     async def __aenter__(self) -> Self:
@@ -441,6 +441,18 @@ async def test_a_job_that_was_begun_earlier_comes_up_held(tmp_path: Path) -> Non
             assert "begun earlier" in running.daemon.reason
             await running.daemon.handlers["resume"]()
             assert await running.outcome() is Outcome.IN_TOLERANCE
+
+
+async def test_a_new_job_that_is_started_held_moves_nothing_before_resume(tmp_path: Path) -> None:
+    with open_journal(tmp_path) as journal:
+        async with Running(Bench(tmp_path, journal), start_held=True) as running:
+            await running.held()
+            assert running.daemon.reason == "the daemon was started without an order to move"
+            assert running.bench.moved() == []
+            assert "metrology.next_map" not in running.bench.fake.events
+            await running.daemon.handlers["resume"]()
+            assert await running.outcome() is Outcome.IN_TOLERANCE
+        assert running.states().count("held") == 1
 
 
 # run_cell: what is left for people

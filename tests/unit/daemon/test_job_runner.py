@@ -727,6 +727,16 @@ async def test_a_queue_that_was_held_comes_up_held(hall: Hall, why: str) -> None
     await hall.run()
 
 
+async def test_a_queue_that_is_started_held_loads_nothing_before_resume(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    await hall.start(until_empty=True, start_held=True)
+    await hall.until_again("held")
+    assert hall.fake.of("loader.load") == []
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "accepted"}
+
+
 async def test_a_job_that_was_under_way_goes_on_held_and_then_the_queue(hall: Hall) -> None:
     hall.add("a", "b").fake.with_loader()
     await killed_amid_a_pass(hall, "a")
