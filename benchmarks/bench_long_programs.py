@@ -7,10 +7,7 @@ in use when the stage began. Disk: bytes of the journal and of executed.csv for 
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -18,7 +15,7 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
-from benchmarks.harness import Progress, Row
+from benchmarks.harness import Progress, Row, memory_bytes, reset_peak
 from benchmarks.long_path import (
     BOUNDS,
     FIXED_MB,
@@ -66,19 +63,10 @@ def measured(stages: Iterator[Stage]) -> dict[str, float]:
     """Peak of each stage beside the memory in use before it, bytes."""
     found = dict[str, float]()
     for name, run in stages:
-        gc.collect()
-        ctypes.CDLL(None).malloc_trim(0)  # freed memory goes back to the kernel: it does not hide the next stage's
-        Path("/proc/self/clear_refs").write_text("5")
-        before = _status("VmRSS")
+        before = reset_peak()
         run()
-        found[name] = float(_status("VmHWM") - before)
+        found[name] = float(memory_bytes("VmHWM") - before)
     return found
-
-
-def _status(key: str) -> int:
-    """Bytes."""
-    found = re.search(rf"{key}:\s*(\d+) kB", Path("/proc/self/status").read_text())
-    return int(found[1]) * 1024 if found else 0
 
 
 def main(what: str, count: int) -> None:

@@ -1,8 +1,8 @@
-"""Program of a segment of an extremely large telescope, 2.7 million blocks, through the simulated robot controller.
+"""Program of a segment of an extremely large telescope, two million blocks, through the simulated robot controller.
 
 The program is rewritten, streamed by the daemon's code over the real link, executed by the simulated controller in its
-own process at 1000 times the wall's pace, and journaled. Then hashes, numbers and times of all blocks are compared.
-The daemon's side runs in a separate process, whose peak memory (VmHWM) is beside that before the stream. By name only.
+own process at 1000 times the wall's pace, and journaled. Hash and blocks must be those of the plan. The memory of the
+daemon's side is the peak of its process in the stream beyond what it used before. By name only.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.bench_size import SEGMENT
-from benchmarks.harness import Progress, Row
+from benchmarks.harness import Progress, Row, memory_bytes, reset_peak
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 from polishd.daemon.cell.cell import MonotonicClock
 from polishd.daemon.contact.progress import ProgressLimits
@@ -58,7 +57,7 @@ y_mm = [-900.0, 900.0]
 
 
 def rows(progress: Progress) -> Iterator[Row]:
-    """Time and memory of each part for a block; RuntimeError where a hash, a number or a time differs."""
+    """Time and memory of each part for a block; RuntimeError where the hash or a block differs."""
     progress("segment: rewrite, stream, execute, journal")
     found = json.loads(subprocess.run([sys.executable, "-m", __name__], stdout=subprocess.PIPE, check=True).stdout)
     name = f"segment: {found['blocks']} blocks"
@@ -133,15 +132,15 @@ def measured(folder: Path) -> dict[str, float]:
     (folder / "state").mkdir()
     journal = Journal.open(folder / "state", job="segment", part_id="ELT")
     journal.begin_pass(0, program.sha256, "boot", len(plan.segments), reach_s=1.0)
-    before_mb = status_mb("self", "VmRSS")
+    before = reset_peak()
     with simulated_cell(config, ["--state", str(state), "--speed", f"{SPEED:g}"], folder / "sim.stderr"):
         host, port = json.loads((state / "endpoints.json").read_text())["robot"].removeprefix("tcp://").split(":")
         begin_s = time.perf_counter()
         asyncio.run(polished(plan, Tcp(host, int(port)), journal))
         stream_s = time.perf_counter() - begin_s
-        stream_mb = status_mb("self", "VmHWM") - before_mb
+        stream_mb = (memory_bytes("VmHWM") - before) / 1e6
         robot = json.loads((state / "pids.json").read_text())["robot"]
-        robot_mb = status_mb(str(robot), "VmHWM")
+        robot_mb = memory_bytes("VmHWM", robot) / 1e6
     executed = journal.executed(0)
     journal.close()
     require_equal(program, executed.seq, plan)
@@ -167,12 +166,6 @@ def require_equal(program: Program, seq: np.ndarray, plan: Plan) -> None:
     wanted = np.arange(plan.approach_blocks, plan.contact_blocks)
     if not np.array_equal(seq, wanted):
         raise RuntimeError(f"{seq.size} of {wanted.size} blocks of {program.name} are journaled")
-
-
-def status_mb(process: str, key: str) -> float:
-    """Return a line of the kernel's status of a process, MB."""
-    found = re.search(rf"{key}:\s*(\d+) kB", Path(f"/proc/{process}/status").read_text())
-    return int(found[1]) / 1e3 if found else 0.0
 
 
 if __name__ == "__main__":

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import json
 import multiprocessing
 import os
+import re
 import resource
 import signal
 import statistics
@@ -165,6 +168,22 @@ def running_cell(sim: str) -> Iterator[dict[str, str]]:
         config.write_text(sim)
         with simulated_cell(config, ["--state", str(state)], folder / "sim.stderr"):
             yield json.loads((state / "endpoints.json").read_text())
+
+
+def memory_bytes(key: str, process: int | str = "self") -> int:
+    """Return a memory figure of the kernel for a process: ``VmRSS`` is in use, ``VmHWM`` its peak."""
+    found = re.search(rf"^{key}:\s*(\d+) kB", Path(f"/proc/{process}/status").read_text(), re.MULTILINE)
+    if found is None:
+        raise RuntimeError(f"/proc/{process}/status has no {key}")
+    return int(found[1]) * 1024
+
+
+def reset_peak() -> int:
+    """Give freed memory back to the kernel, let ``VmHWM`` of this process begin anew, and return its ``VmRSS``."""
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)  # freed memory that is used again would hide what is measured next
+    Path("/proc/self/clear_refs").write_text("5")
+    return memory_bytes("VmRSS")
 
 
 def peak_mb(run: Callable[[], object]) -> float:
