@@ -57,11 +57,11 @@ def crashes(recording: Sequence[Op], before: Files) -> Iterator[tuple[int, Disk,
     """Each prefix of the recording that ends before something may change on the disk; the last one is all of it."""
     disk, promises = Disk.of(before), Promises(before.get(f"{STATE}/{JOURNAL_NAME}", b""))
     for number, op in enumerate(recording):
-        if "starts" in op.what:
-            promises.start(disk.seen())
-        elif op.kind == "mark":
-            promises.take(op)
         if op.kind == "mark":
+            if "starts" in op.what:
+                promises.start(disk.seen())
+            else:
+                promises.take(op)
             continue
         yield number, disk, promises.now()
         disk.apply(op)
