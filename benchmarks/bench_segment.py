@@ -1,7 +1,7 @@
 """Program of a segment of an extremely large telescope, two million blocks, through the simulated robot controller.
 
 The program is rewritten, streamed by the daemon's code over the real link, executed by the simulated controller in its
-own process at 1000 times the wall's pace, and journaled. Hash and blocks must be those of the plan. The memory of the
+own process at 150 times the wall's pace, and journaled. Hash and blocks must be those of the plan. The memory of the
 daemon's side is the peak of its process in the stream beyond what it used before. By name only.
 """
 
@@ -37,17 +37,22 @@ from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.process.toolpath.apertures import over_outline
 from polishd.process.toolpath.paths import raster
 
-SPEED = 1000.0
+SPEED = 150.0
 FEED_MM_MIN = 1500.0
 FASTER = 0.9, 1.6
 """Range of the factor on each block's time in the rewritten program: the dwell changes over the part."""
-AHEAD_S, LEAST_S = 60.0, 1.0
-"""Of process time, at 1000 times the wall's pace."""
+AHEAD_S, LEAST_S = 1.0, 0.2
+"""Look-ahead and least motion in the robot, wall time; its window of 16,384 blocks lasts 3.5 s."""
 TURN = 200
 """Blocks in one record of the journal."""
 SIM = """
 [plant]
 aperture_mm = 100.0
+origin_mm = [1000.0, 700.0, 2085.0]
+[kinematics]
+type = "hybrid"
+workspace_radius_mm = 2500.0
+stroke_mm = [100.0, 10000.0]
 [robot]
 port = 0
 corner_deg = 180.0
