@@ -200,7 +200,7 @@ def run(
     ],
     correction: Correction = None,
     no_hold: Annotated[bool, Option("--no-hold", help="End instead of waiting for an operator")] = False,
-    start_held: Annotated[bool, Option("--start-held", help="Move nothing before polishd resume")] = False,
+    start_held: Annotated[bool, Option("--start-held", help="Only make devices safe until polishd resume")] = False,
     queue: Annotated[bool, Option("--queue", help="Run the jobs of polishd queue, and wait for more")] = False,
     until_empty: Annotated[bool, Option("--until-empty", help="With --queue: end when no job waits")] = False,
     record: Record = None,
