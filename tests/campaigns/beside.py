@@ -5,12 +5,15 @@ A result bears the hash of the sources that it depends on: one of other sources 
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
+import re
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +34,10 @@ def keep(path: Path, rows: Iterable[Row]) -> None:
 
 
 def sources(scope: Iterable[str], root: Path = ROOT) -> str:
-    """Return the hash of the Python files below these folders of the project, by path and content.
+    """Return the hash of the Python files below these folders of the project, by path and code.
 
-    A module that is a single file counts as a folder, and so does a file that is named with its ending.
+    Comments and docstrings are no part of it: a better explanation makes no measurement old. A module that is a single
+    file counts as a folder, and so does a file that is named with its ending, of another language as it is.
     FileNotFoundError where there is none of that name.
     """
     content = hashlib.sha256()
@@ -41,8 +45,39 @@ def sources(scope: Iterable[str], root: Path = ROOT) -> str:
         path = root / name
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path if path.exists() else root / f"{name}.py"]
         for file in files:
-            content.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
+            text = file.read_bytes()
+            content.update(
+                str(file.relative_to(root)).encode() + b"\0" + (code(text) if file.suffix == ".py" else text)
+            )
     return content.hexdigest()[:8]
+
+
+QUOTED_OR_COMMENT = re.compile(
+    rb'''("""(?:\\.|[^\\])*?"""|'{3}(?:\\.|[^\\])*?'{3}|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')|[ \t]*\#[^\n]*''',
+    re.DOTALL | re.VERBOSE,
+)
+REMOVED = b"\0"
+
+
+@cache
+def code(text: bytes) -> bytes:
+    """Return the Python source without comments and docstrings, and without the lines of nothing else."""
+    lines = text.split(b"\n")
+    for node in _docstrings(ast.parse(text).body):
+        first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
+        lines[first] = lines[first][: node.col_offset].rstrip() + REMOVED + lines[last][node.end_col_offset :]
+        lines[first + 1 : last + 1] = [REMOVED] * (last - first)
+    bare = QUOTED_OR_COMMENT.sub(lambda found: found[1] or REMOVED, b"\n".join(lines))
+    return b"\n".join(line.replace(REMOVED, b"") for line in bare.split(b"\n") if line.strip(REMOVED) or not line)
+
+
+def _docstrings(body: Sequence[ast.stmt]) -> Iterator[ast.Expr]:
+    """Statements that are nothing but a text, of a module, its classes and functions."""
+    for node in body:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node
+        elif isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from _docstrings(node.body)
 
 
 def first_line(error: Exception) -> str:

@@ -109,3 +109,53 @@ def test_records_are_kept_as_they_are_read(tmp_path: Path) -> None:
     path.write_text(json.dumps({"claim": "x"}) + "\n")
     with pytest.raises(ValueError, match=r"claims.jsonl:1: 'scope'"):
         read(path)
+
+
+SOURCE = '''"""Read a speed."""
+
+LIMIT = "# 5"
+"""In mm/s."""
+
+
+def speed(text: str) -> float:
+    """Return the speed.
+
+    In mm/s.
+    """
+    first = text.split("#")[0]  # what follows is a note
+
+    # Blanks are allowed.
+    return float(first)
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("Read a speed.", 'Read a speed of # 3, or of "none".'),
+        ('"""In mm/s."""\n', ""),
+        ("\n\n    In mm/s.\n    ", ""),
+        ("  # what follows is a note", ""),
+        ("    # Blanks are allowed.\n", "    # Blanks are allowed, and tabs.\n    # That's all.\n"),
+    ],
+)
+def test_a_better_explanation_makes_no_measurement_old(root: Path, old: str, new: str) -> None:
+    loop = root / "polishd/fast/loop.py"
+    loop.write_text(SOURCE)
+    measured = beside.sources(["polishd"], root)
+    assert old in SOURCE
+    loop.write_text(SOURCE.replace(old, new))
+    assert beside.sources(["polishd"], root) == measured
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [('"# 5"', '"# 6"'), ('"#")[0]', '"#")[1]'), ("    return float", "    return -float"), ("float(first)", "2.0")],
+)
+def test_another_code_makes_a_measurement_old(root: Path, old: str, new: str) -> None:
+    loop = root / "polishd/fast/loop.py"
+    loop.write_text(SOURCE)
+    measured = beside.sources(["polishd"], root)
+    assert old in SOURCE
+    loop.write_text(SOURCE.replace(old, new))
+    assert beside.sources(["polishd"], root) != measured
