@@ -174,6 +174,7 @@ class RmiSession(Background):
         self._queue = RequestQueue(self.name)
         self._stream: ByteStream | None = None
         self._claim = Claim()
+        self._reports_override = False
         self._expected = ""
         self._answer: asyncio.Future[dict[str, Any]] | None = None
 
@@ -223,12 +224,16 @@ class RmiSession(Background):
         return answer
 
     async def status(self) -> RmiStatus:
-        """Return the present status. ProtocolError for an answer without its fields."""
+        """Return the present status. ProtocolError for an answer without its fields, or one that it had before."""
         answer = await self.command("FRC_GetStatus")
         try:
-            return RmiStatus.of(answer)
+            status = RmiStatus.of(answer)
         except (KeyError, ValueError) as error:
             raise ProtocolError(f"{self.name}: FRC_GetStatus was answered without {error}") from error
+        if self._reports_override and status.override is None:
+            raise ProtocolError(f"{self.name}: FRC_GetStatus was answered without Override, which it had before")
+        self._reports_override = status.override is not None
+        return status
 
     async def control_mode(self) -> str:
         """Return ``AUTO``, ``T1`` or ``T2``; empty where the controller does not report it."""
@@ -338,8 +343,8 @@ class RmiSession(Background):
 
     def _error_of(self, answer: Mapping[str, Any]) -> int:
         try:
-            return _whole(answer, "ErrorID", 0)
-        except ValueError as error:
+            return _whole(answer, "ErrorID")
+        except (KeyError, ValueError) as error:
             raise ProtocolError(f"{self.name}: an answer has no valid ErrorID") from error
 
     def _parsed(self, line: bytes) -> dict[str, Any]:
@@ -365,7 +370,7 @@ class RmiSession(Background):
 
     def _executed(self, message: Mapping[str, Any]) -> None:
         try:
-            sequence, error = _whole(message, "SequenceID"), _whole(message, "ErrorID", 0)
+            sequence, error = _whole(message, "SequenceID"), _whole(message, "ErrorID")
         except (KeyError, ValueError) as problem:
             raise ProtocolError(f"{self.name}: an answer to an instruction lacks SequenceID or ErrorID") from problem
         if sequence not in self.outstanding:
@@ -377,9 +382,9 @@ class RmiSession(Background):
         self._has_credit.set()
 
 
-def _whole(message: Mapping[str, Any], name: str, default: int | None = None) -> int:
+def _whole(message: Mapping[str, Any], name: str) -> int:
     """Return a whole number; KeyError without it, ValueError where it is none."""
-    value = message[name] if default is None else message.get(name, default)
+    value = message[name]
     if type(value) is not int:
         raise ValueError(name)
     return value

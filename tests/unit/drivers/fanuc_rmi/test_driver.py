@@ -15,8 +15,9 @@ import pytest
 
 from polishd.api import DeviceBusy, DeviceFault, DeviceRefused, ExecutedBlock, LinkError, Plan, RobotTimes
 from polishd.drivers.fanuc_rmi.driver import FanucRmi
-from polishd.drivers.fanuc_rmi.protocol import MOST_OUTSTANDING
+from polishd.drivers.fanuc_rmi.protocol import MOST_OUTSTANDING, RmiSession
 from polishd.drivers.transport.address import Tcp
+from polishd.model.errors import ProtocolError
 from tests.fakes.fanuc_rmi import FakeFanuc
 from tests.programs import plan_of
 from tests.unit.drivers.fanuc_rmi.test_program import program
@@ -209,6 +210,26 @@ async def test_a_controller_without_extended_status_is_used(fake: FakeFanuc, rob
         [b'{"Command":"FRC_GetExtStatus","ErrorID":2556941}\r\n'] if b"FRC_GetExtStatus" in data else [data]
     )
     assert (await robot.status()).ready
+
+
+@pytest.mark.parametrize("field", ["ErrorID", "Override", "NextSequenceID"])
+async def test_a_status_without_a_field_that_it_had_is_not_taken(fake: FakeFanuc, field: str) -> None:
+    def without(data: bytes) -> list[bytes]:
+        answers = [json.loads(line) for line in data.splitlines()]
+        for answer in answers:
+            if answer.get("Command") == "FRC_GetStatus":
+                del answer[field]
+        return [json.dumps(answer).encode() + b"\r\n" for answer in answers]
+
+    session = RmiSession(Tcp("127.0.0.1", fake.port), TIMES)
+    await session.open()
+    try:
+        assert (await session.status()).override == 1.0
+        fake.filter = without
+        with pytest.raises(ProtocolError, match=field):
+            await session.status()
+    finally:
+        await session.close()
 
 
 async def test_a_fault_without_its_text_is_reported_all_the_same(fake: FakeFanuc, robot: FanucRmi) -> None:
