@@ -519,8 +519,15 @@ def _name(command: CommandInfo) -> str:
 
 def _with_cell(text: str) -> str:
     """Put the given cell's path into the commands of a message, so that they can be copied."""
-    cell = next((word for word in sys.argv[1:] if word.endswith(".toml")), None)
-    return text if cell is None else text.replace("CELL.toml", shlex.quote(cell))
+    if "CELL.toml" not in text:
+        return text
+    command, words = _commands(_given()), sys.argv[1:]
+    while words and words[0] in getattr(command, "commands", {}):
+        command, words = command.commands[words[0]], words[1:]
+    given = command.make_context("", words, resilient_parsing=True).params
+    named = (given[one.name] for one in command.params if "CELL.toml" in (one.metavar or ""))
+    cells = [cell for value in named for cell in (value if isinstance(value, list | tuple) else [value]) if cell]
+    return text.replace("CELL.toml", shlex.quote(str(cells[0]))) if cells else text
 
 
 def _full_output() -> str:

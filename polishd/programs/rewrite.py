@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -158,11 +158,12 @@ def rewrite_file(
     Raises:
         ProgramError: Anything is wrong with program, table or output. Nothing was written.
     """
-    require_new_target(out, file, table.path)
+    sources = (file, table.path)
+    require_new_target(out, *sources)
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
-    return _held(read_program_file(dialect, file), table, out, dialect, encoding, mark=mark)
+    return _held(read_program_file(dialect, file), table, out, dialect, encoding, mark=mark, sources=sources)
 
 
 def require_new_target(out: Path, *sources: Path) -> None:
@@ -205,7 +206,14 @@ def _streamed(
 
 
 def _held(
-    program: Program, table: DwellTable, out: Path, dialect: AnyDialect, encoding: Encoding | None, *, mark: bytes
+    program: Program,
+    table: DwellTable,
+    out: Path,
+    dialect: AnyDialect,
+    encoding: Encoding | None,
+    *,
+    mark: bytes,
+    sources: Sequence[Path],
 ) -> RewriteResult:
     times = table.take(program.n)
     table.finish()
@@ -215,6 +223,8 @@ def _held(
         raise ProgramError(f"{program.name}: cannot be written in other words without a change: {proof.difference}.")
     parts = [text] if isinstance(dialect, GcodeDialect) else split(dialect, text, program.name, program.beside)
     outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
+    for path in outs:
+        require_new_target(path, *sources)
     with ExitStack() as stack:  # all files are on the disk before the first gets its name
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)

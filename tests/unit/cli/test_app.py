@@ -55,3 +55,20 @@ def test_it_needs_no_daemon(words: tuple[str, ...]) -> None:
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, timeout=60)
     assert ended.stderr.decode().strip() == ""
     assert ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("status", "my cell.toml"), "polishd run 'my cell.toml'"),
+        (("run", "--queue", "a.toml", "b.toml"), "polishd run a.toml"),
+        (("map", "--cell", "a.toml", "map.dat"), "polishd run CELL.toml"),
+        (("map", "commission", "profile.toml"), "polishd run CELL.toml"),
+        (("study", "study.toml"), "polishd run CELL.toml"),
+    ],
+)
+def test_commands_of_messages_name_the_given_cell(
+    monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["polishd", *words])
+    assert app._with_cell("polishd run CELL.toml") == said

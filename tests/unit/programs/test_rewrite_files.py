@@ -181,6 +181,16 @@ def test_of_parts_all_are_written_or_none(tmp_path: Path, short_lines: str) -> N
     assert left(tmp_path) == ["d.csv", "new_2.rnc", "p.rnc", "small.toml"]
 
 
+def test_no_part_takes_the_place_of_what_is_read(tmp_path: Path, short_lines: str) -> None:
+    source, table = tmp_path / "new_2.rnc", tmp_path / "d.csv"
+    source.write_bytes(long_program(12))
+    table.write_text("0.5\n" * 12)
+    with pytest.raises(ProgramError, match=r"new_2\.rnc: is what is read"):
+        rewrite_file(source, DwellTable(table), tmp_path / "new.rnc", dialect(short_lines))
+    assert source.read_bytes() == long_program(12)
+    assert left(tmp_path) == ["d.csv", "new_2.rnc", "small.toml"]
+
+
 def test_a_file_gets_its_name_at_the_end_only(tmp_path: Path) -> None:
     path = tmp_path / "a"
     with target_file(path) as file:
