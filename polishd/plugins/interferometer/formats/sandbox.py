@@ -72,6 +72,7 @@ class MapHead:
     orientation: str = ""
     fiducials_px: tuple[tuple[float, float], ...] = ()
     reader_version: int = 0
+    pitches_mm: tuple[float, float] | None = None
     masks: tuple[MaskCount, ...] = ()
     history: MapStep | None = None
 

@@ -33,6 +33,7 @@ EVERYTHING = SurfaceMap(
     orientation="upside down",
     fiducials_px=((1.0, 2.5),),
     reader_version=3,
+    pitches_mm=(0.25, 0.5),
     masks=(MaskCount("0..1", 3, 4),),
     history=MapStep("average", "1.0", {"profile": "p"}, (MapInput("map", "a.datx", "cd"),), 0.5),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import signal
@@ -10,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,18 @@ def test_all_that_a_map_says_of_itself_arrives(tmp_path: Path) -> None:
         if one.name != "height_nm":
             assert getattr(surface, one.name) == getattr(sent, one.name), one.name
     assert read(tmp_path, "half").part_id == "a\\udcffb"
+
+
+def test_the_head_of_a_map_has_every_field_but_the_heights_and_the_path() -> None:
+    of_map = {one.name for one in fields(SurfaceMap)} - {"height_nm", "path"}
+    assert {one.name for one in fields(sandbox.MapHead)} == of_map | {"has_path"}
+
+
+def test_pixels_that_are_not_square_arrive_with_both_pitches(tmp_path: Path) -> None:
+    sent = replace(parsers_apart.EVERYTHING, pitch_mm=None, pitches_mm=(0.1, 0.2))
+    text = json.dumps(sandbox._head(sent))
+    surface = sandbox._map(sandbox._head_type().validate_python(json.loads(text)), sent.height_nm, tmp_path)
+    assert (surface.pitch_mm, surface.pitches_mm) == (None, (0.1, 0.2))
 
 
 @pytest.mark.full
