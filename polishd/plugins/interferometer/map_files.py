@@ -198,7 +198,7 @@ def sha256_of(path: Path) -> str:
 def read_map(path: Path, readers: Sequence[SurfaceReader]) -> SurfaceMap:
     """Read with the first reader that knows the format; the map's ``sha256`` is of the file as it was read.
 
-    BadMap where the format is unknown, the reader refuses, or the file was written to meanwhile. OSError where the
+    MapError where the format is unknown, the reader refuses, or the file was written to meanwhile. OSError where the
     file cannot be opened; the map may still be good.
     """
     sha256 = sha256_of(path)

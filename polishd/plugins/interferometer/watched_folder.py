@@ -62,7 +62,7 @@ def source_of(surface: SurfaceMap) -> str:
 
 
 def require_plausible(surface: SurfaceMap, rules: MapAcceptanceRules) -> None:
-    """WrongPart where it shows another part; BadMap where the profile, or none, cannot be applied to it."""
+    """WrongPart where it shows another part; MapError where the profile, or none, cannot be applied to it."""
     if not surface.part_id and not rules.accept_without_part_id:
         raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
     if surface.part_id and surface.part_id != rules.part_id:

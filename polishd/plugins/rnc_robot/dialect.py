@@ -130,7 +130,8 @@ SIEMENS = _sign(rb";\$PATH=|%_N_")
 SIEMENS_ENDINGS = (".mpf", ".spf")
 SIEMENS_ISO = re.compile(rb"(?:^|\s)G0*291(?!\d)", re.IGNORECASE)
 O_NUMBER = re.compile(rb"^[ \t]*[Oo:]\d{1,8}[ \t]*(?:\(|\r?$)", re.MULTILINE)
-DWELL = re.compile(rb"^[^(;\n]*G0?4(?!\d)[^(;\n]*[PXU][ \t]*[\d.]", re.MULTILINE | re.IGNORECASE)
+# Atomic: the first G4 of a line decides, and a long line is gone over once
+DWELL = re.compile(rb"^(?>[^(;\n]*?G0?4(?!\d))[^(;\n]*?[PXU][ \t]*+[\d.]", re.MULTILINE | re.IGNORECASE)
 O_DIALECTS = ("fanuc", "haas", DEFAULT)
 
 

@@ -35,12 +35,13 @@ from polishd.process.frames import angles_from_axis
 
 _UNIT_S = {"s": 1.0, "ms": 1e-3}
 _OFF_S = 1e-6
-_WORD = r"[A-Z]\s*[-+]?(?:\d+\.?\d*|\.\d+)"
+_WORD = r"[A-Z]\s*+[-+]?(?:\d++(?:\.\d*+)?|\.\d++)"
 _NC = re.compile(rf"(?:\s*{_WORD})+\s*|%", re.IGNORECASE)
 """A block of letters with numbers."""
 _STOP = re.compile(r"(?:N\d+\s*)?M0*(?:0|2|30)|%", re.IGNORECASE)
 _DWELL = re.compile(
-    r"(?:N\d+\s*)?G\s*0*(?P<code>\d+(?:\.\d+)?)\s*(?P<word>[A-Z#=]+)\s*(?P<number>\d+\.?\d*|\.\d+)", re.IGNORECASE
+    r"(?:N\d+\s*)?G\s*(?P<code>\d++(?:\.\d++)?)\s*(?P<word>[A-Z#=]++)\s*(?P<number>\d++(?:\.\d*+)?|\.\d++)",
+    re.IGNORECASE,
 )
 
 
@@ -409,7 +410,7 @@ def find_misread_line_shipped(name: str, lines: OwnLines) -> str:
 
 
 def shipped_formats() -> list[ProgramFormat]:
-    """What the daemon knows of the shipped dialects."""
+    """Return the program format of each shipped dialect."""
     return [
         ProgramFormat(
             name,
@@ -432,7 +433,7 @@ def format_made_like(dialect: AnyDialect, text: bytes, name: str) -> ProgramForm
 
 
 def format_of(dialect: AnyDialect) -> ProgramFormat:
-    """What the daemon knows of a dialect."""
+    """Return the program format of a dialect."""
     made = partial(make, dialect) if isinstance(dialect, GcodeDialect) or dialect.make is not None else None
     return ProgramFormat(
         dialect.name,

@@ -52,7 +52,7 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read a grid of surface or wavefront values. BadMap for whatever is torn, of another kind, or out of range."""
+    """Read a grid of surface or wavefront values. MapError for whatever is torn, of another kind, or out of range."""
     content = content_of(path)
     line, start = _parameters(path, content)
     header = _header(path, line)
@@ -127,7 +127,7 @@ def _number(path: Path, word: str, text: str) -> float:
 
 
 def _cut(path: Path, last: bytes, no_data: bytes) -> tuple[str, ...]:
-    """What to warn of where nothing follows the last number; BadMap where it is the first part of "no data"."""
+    """What to warn of where nothing follows the last number; MapError where it is the first part of "no data"."""
     if last != no_data and no_data.startswith(last):
         raise MapError(f"{path}: ends inside a number: {last.decode()} of {no_data.decode()}: torn")
     return () if last == no_data else (CUT,)

@@ -28,12 +28,12 @@ MOST_SAMPLES = 64_000_000
 ZERO_TAIL, MOST_ZEROS = 16, 0.05
 """So many samples of exactly zero at the very end are not measured where hardly any other is zero: preallocated."""
 OPTICS = {"IntfScaleFactor": (0.01, 100.0), "Wavelength (m)": (1e-7, 2e-5), "Obliquity": (0.01, 100.0)}
-"""What the factors of an interferometer's heights may be."""
+"""Range of each factor of an interferometer's heights."""
 QUOTES = " \t\r\n\0\"'`"
 
 
 def content_of(path: Path) -> bytes:
-    """All bytes of a file; BadMap where it cannot be read, is empty, or is larger than any map."""
+    """All bytes of a file; MapError where it cannot be read, is empty, or is larger than any map."""
     try:
         with path.open("rb") as file:
             # what is asked for is allocated first: no more than there is
@@ -53,7 +53,7 @@ def sha256_of(content: bytes) -> str:
 
 
 def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
-    """The heights, where at least one is a number and none is infinite; BadMap otherwise."""
+    """The heights, where at least one is a number and none is infinite; MapError otherwise."""
     if height_nm.ndim != 2 or not height_nm.size:
         raise MapError(f"{path}: holds an array of shape {height_nm.shape}, not rows and columns")
     if np.isinf(height_nm).any():
@@ -64,7 +64,7 @@ def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
 
 
 def require_end(path: Path, values: NDArray[Any]) -> None:
-    """BadMap where the last samples, as they lie in memory, are all exactly zero, and hardly any other is.
+    """MapError where the last samples, as they lie in memory, are all exactly zero, and hardly any other is.
 
     A map on a background of zeros, as programs make them, has zeros elsewhere too.
     """
@@ -85,7 +85,7 @@ def scaled(values: NDArray[Any], nm_per_unit: float) -> FloatArray:
 
 
 def require_optics(path: Path, factors: Mapping[str, float]) -> None:
-    """BadMap where one of the named factors (``OPTICS``) is no number or out of its range."""
+    """MapError where one of the named factors (``OPTICS``) is no number or out of its range."""
     for name, value in factors.items():
         low, high = OPTICS[name]
         if not low <= value <= high:
@@ -93,7 +93,7 @@ def require_optics(path: Path, factors: Mapping[str, float]) -> None:
 
 
 def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES) -> None:
-    """BadMap where an array is empty, larger than a camera, or larger than the file can hold (``most`` samples)."""
+    """MapError where an array is empty, larger than a camera, or larger than the file can hold (``most`` samples)."""
     if rows <= 0 or columns <= 0:
         raise MapError(f"{path}: has no phase data ({rows} rows x {columns} columns)")
     if rows * columns > MOST_SAMPLES:
@@ -103,7 +103,7 @@ def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES
 
 
 def require_stated(surface: SurfaceMap, *also: str) -> None:
-    """BadMap where a written file would state an unknown value; ``also`` names the values that the format can omit."""
+    """MapError where a written file would state an unknown value; ``also`` names values that the format can omit."""
     open_ones = sorted(surface.unsaid - set(also))
     if "square pixels" in open_ones:
         raise MapError(
@@ -128,7 +128,7 @@ def named(text: str) -> str:
 
 
 def members_of(path: Path, archive: ZipFile) -> list[ZipInfo]:
-    """The members of an archive; BadMap where they would unpack to more than any map."""
+    """The members of an archive; MapError where they would unpack to more than any map."""
     members = archive.infolist()
     if sum(member.file_size for member in members) > MOST_BYTES:
         raise MapError(f"{path}: unpacks to more than {MOST_BYTES} bytes: no map of a camera")
@@ -137,7 +137,7 @@ def members_of(path: Path, archive: ZipFile) -> list[ZipInfo]:
 
 @contextmanager
 def parsing(path: Path, library: str) -> Iterator[None]:
-    """Turn every error of a third-party library in this block into BadMap, and suppress its warnings.
+    """Turn every error of a third-party library in this block into MapError, and suppress its warnings.
 
     The readers check lengths, units and checksums themselves.
     """
@@ -231,7 +231,7 @@ def height_unit(unit: str) -> HeightUnit:
 
 
 def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
-    """The one pitch of square pixels. BadMap where either is no length.
+    """The one pitch of square pixels. MapError where either is no length.
 
     Pixels that are not square keep both: "square pixels" is unsaid until the map is resampled, as conditioning does.
     """
@@ -245,7 +245,7 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
 
 
 def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
-    """Return plausible heights; BadMap otherwise.
+    """Return plausible heights; MapError otherwise.
 
     Heights above ``MOST_NM`` are not plausible, nor is an extreme value that occurs more than once and is one of
     ``MARKERS`` in the file's unit of ``nm``.
@@ -336,7 +336,7 @@ OF_NUMBERS = b"0123456789+-.eE \t\r\n"
 
 
 def pieces(path: Path, content: bytes, span: tuple[int, int], ends: tuple[bytes, ...]) -> Iterator[bytes]:
-    """Parts of ``content[span]`` of about ``PIECE`` bytes, each ended by one of ``ends``; BadMap where none comes."""
+    """Parts of ``content[span]`` of about ``PIECE`` bytes, each ended by one of ``ends``; MapError where none comes."""
     start, stop = span
     while start < stop:
         near = min(start + PIECE, stop)
@@ -350,7 +350,7 @@ def pieces(path: Path, content: bytes, span: tuple[int, int], ends: tuple[bytes,
 
 
 def floats(path: Path, text: bytes, but: bytes = b"") -> FloatArray:
-    """The numbers of a piece, (n,); BadMap for anything else. ``but``: further bytes that may stand there ("nan")."""
+    """The numbers of a piece, (n,); MapError for anything else. ``but``: further bytes that may stand there ("nan")."""
     foreign = text.translate(None, OF_NUMBERS + but)
     if foreign:
         raise MapError(f"{path}: {foreign[:20]!r} stands among its numbers")
@@ -361,7 +361,7 @@ def floats(path: Path, text: bytes, but: bytes = b"") -> FloatArray:
 
 
 def block(path: Path, content: bytes, span: tuple[int, int], shape: tuple[int, int]) -> FloatArray:
-    """The ``shape`` numbers of a span of the text, however they are wrapped; BadMap for more, fewer or infinite."""
+    """The ``shape`` numbers of a span of the text, however they are wrapped; MapError for more, fewer or infinite."""
     values = np.empty(shape[0] * shape[1])
     filled = 0
     for piece in pieces(path, content, span, (b"\n", b" ", b"\t")):

@@ -52,7 +52,7 @@ WAVELENGTH_M, SCALE, OBLIQUITY = 632.8e-9, 0.5, 1.0
 def write(surface: SurfaceMap) -> bytes:
     """Content of a file that reads back exactly; NaN is ``No Data``, no pitch is a lateral resolution of 0.
 
-    The same map gives the same bytes. BadMap where the map's unit is unknown.
+    The same map gives the same bytes. MapError where the map's unit is unknown.
     """
     import h5py
 
@@ -139,9 +139,9 @@ PARAMETER = {"Wavelength (m)": 1, "IntfScaleFactor": 2, "Obliquity": 3}
 
 
 def parse(path: Path) -> SurfaceMap:
-    """Read a map. BadMap for whatever is torn, linked elsewhere, or without scale; an unknown unit is ``unsaid``.
+    """Read a map. MapError for whatever is torn, linked elsewhere, or without scale; an unknown unit is ``unsaid``.
 
-    Run by ``apart``: HDF5 may crash, hang or fill the memory on a broken file.
+    Run in the worker of ``sandbox``: HDF5 may crash, hang or fill the memory on a broken file.
     """
     with hdf5.opened(path) as source:
         links = _links(source)
@@ -170,7 +170,7 @@ def parse(path: Path) -> SurfaceMap:
 
 
 def _links(source: hdf5.Hdf5Contents) -> dict[tuple[str, str], str]:
-    """(source, link) -> destination; empty where there is no table, BadMap where it leads to two surfaces."""
+    """(source, link) -> destination; empty where there is no table, MapError where it leads to two surfaces."""
     table = hdf5.member(source, "MetaData")
     if table is None:
         return {}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import zlib
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from polishd.plugins.interferometer.formats.hdf5 import FREE_BYTES, MOST_RATIO
 FORMAT = Format("fits", 2, (b"SIMPLE  =",))
 BITPIX = (8, 16, 32, 64, -32, -64)
 MOST_EXTENSIONS = 64
+"""Header-and-data units that are looked at: a small packed file may hold hundreds of thousands."""
 GZIP, GZIP_WINDOW = b"\x1f\x8b\x08", 31
 UNIT_KEYS = ("BUNIT", "UNITS", "ZUNITS")
 
@@ -52,7 +54,7 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the first image. BadMap without astropy, for torn files, tables, cubes and compressed images."""
+    """Read the first image. MapError without astropy, for torn files, tables, cubes and compressed images."""
     fits = extra(path, "astropy.io.fits", "fits")
     packed = content_of(path)
     content = _unpacked(path, packed) if packed.startswith(GZIP) else packed
@@ -68,7 +70,7 @@ def read(path: Path) -> SurfaceMap:
             lateral = _pitch(path, header)
             height_nm, factors = _scaled(path, header, hdu.data)
             date = date_of(str(header.get("DATE-OBS", "")), utc=True)
-            others = sum(_is_image(other.header) for other in hdus) - 1
+            others = sum(_is_image(other.header) for other in islice(hdus, MOST_EXTENSIONS)) - 1
     height_nm *= height.nm
     height_nm[np.isinf(height_nm)] = np.inf  # both signs alike: refused below
     return FORMAT.surface(
@@ -106,9 +108,7 @@ def _unpacked(path: Path, packed: bytes) -> bytes:
 
 def _image(path: Path, hdus: Any) -> Any:
     """The first header-and-data unit that is an image with data."""
-    for number, hdu in enumerate(hdus):
-        if number == MOST_EXTENSIONS:
-            break
+    for hdu in islice(hdus, MOST_EXTENSIONS):
         header = hdu.header
         if _is_image(header):
             if header["NAXIS"] != 2 or header.get("GROUPS") is True:

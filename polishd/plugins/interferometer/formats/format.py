@@ -1,4 +1,4 @@
-"""What all map formats have alike: a name, a version, magic numbers, and how a map is made of what was read."""
+"""Common part of all map formats: name, version, magic numbers, and the making of a map from what was read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Format:
     version: int
     """Of the reader: higher where the same file gives another map than before."""
     magic: tuple[bytes, ...] = ()
-    """What such a file starts with."""
+    """First bytes of such a file."""
 
     def sniff(self, head: bytes, path: Path) -> bool:  # noqa: ARG002  a reader may also judge by name
         """True where the file starts with one of the magic numbers."""
@@ -83,7 +83,7 @@ BRIEF = re.compile(
 
 
 def line_of(surface: SurfaceMap) -> str | None:
-    """The line that keeps it; None where there is none. BadMap where it has grown beyond what is read back."""
+    """The line that keeps it; None where there is none. MapError where it has grown beyond what is read back."""
     if surface.history is None:
         return None
     try:

@@ -45,9 +45,9 @@ class ValueWithUnit(NamedTuple):
 
 
 def parse(path: Path) -> SurfaceMap:
-    """Read a map. BadMap for whatever is torn, linked elsewhere, or without a wavelength; no wedge is ``unsaid``.
+    """Read a map. MapError for whatever is torn, linked elsewhere, or without a wavelength; no wedge is ``unsaid``.
 
-    Run by ``apart``: HDF5 may crash, hang or fill the memory on a broken file.
+    Run in the worker of ``sandbox``: HDF5 may crash, hang or fill the memory on a broken file.
     """
     with hdf5.opened(path) as source:
         data = hdf5.member(source, f"{GENRAW}/data")
@@ -85,7 +85,7 @@ def _text(source: hdf5.Hdf5Contents, nodes: list[Any], name: str) -> str:
 
 
 def _measure(source: hdf5.Hdf5Contents, nodes: list[Any], name: str) -> ValueWithUnit | None:
-    """A number and its unit ("632.8 nm"), or None where it is absent or empty; BadMap where it is no number."""
+    """A number and its unit ("632.8 nm"), or None where it is absent or empty; MapError where it is no number."""
     text = _text(source, nodes, name)
     if not text:
         return None

@@ -47,7 +47,7 @@ class GwyComponent(NamedTuple):
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the channel of the lowest number. BadMap without gwyfile, and for whatever is torn or holds no channel."""
+    """Read the channel of the lowest number. MapError without gwyfile, and for whatever is torn or holds no channel."""
     gwyfile = extra(path, "gwyfile.objects", "gwy")
     content = content_of(path)
     if not FORMAT.sniff(content, path):
@@ -83,7 +83,7 @@ def read(path: Path) -> SurfaceMap:
 
 
 def _components(path: Path, content: bytes, start: int, end: int, most: int) -> dict[str, GwyComponent]:
-    """The components of the object at ``start`` by name; BadMap unless they fill it exactly."""
+    """The components of the object at ``start`` by name; MapError unless they fill it exactly."""
     name_end = content.find(b"\0", start, start + 64)
     if name_end < 0 or name_end + 5 > end:
         raise MapError(f"{path}: torn at byte {start}: no object")

@@ -1,6 +1,6 @@
 """HDF5 within bounds: what of a file is followed, unpacked and believed.
 
-Read in the process of ``apart``, from the bytes that were hashed. Only hard links are followed: no other file is ever
+Read in the worker of ``sandbox``, from the bytes that were hashed. Only hard links are followed: no other file is ever
 opened. Samples of a compressed data set may take more room than the file, so its length cannot be checked; it is
 bounded instead: measured surfaces shrink to a half, with three quarters of them masked to an eighth, and ``MOST_RATIO``
 leaves room for smooth ones that a computer made, while a bomb of zeros reaches a thousand.
@@ -61,7 +61,7 @@ class Hdf5Contents:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Hdf5Contents]:
-    """The file in memory; whatever the library raises meanwhile is a BadMap."""
+    """The file in memory; errors of the library become MapError."""
     import h5py
 
     content = content_of(path)
@@ -82,7 +82,7 @@ def opened(path: Path) -> Iterator[Hdf5Contents]:
 
 
 def _require_heaps(path: Path, content: bytes) -> None:
-    """BadMap where a heap of texts does not end where it says: HDF5 walks some of those for ever.
+    """MapError where a heap of texts does not end where it says: HDF5 walks some of those for ever.
 
     A heap is "GCOL", version, 3 zeros, its size (8 bytes), then objects: number, count, 4 zeros, size (2, 2, 4, 8,
     little-endian), and the object itself, filled up to 8 bytes; number 0 is the room that is left.
@@ -102,7 +102,7 @@ def _require_heaps(path: Path, content: bytes) -> None:
 
 
 def member(source: Hdf5Contents, name: str) -> Any:
-    """The group or data set of this name, or None; BadMap where a link on the way is soft or leads to another file."""
+    """The group or data set of this name, or None; MapError where a link to it is soft or leads to another file."""
     import h5py
 
     node: Any = source.file
@@ -144,7 +144,7 @@ def text(source: Hdf5Contents, node: Any, name: str) -> str:
 
 
 def number(source: Hdf5Contents, node: Any, name: str) -> float | None:
-    """The number of an attribute; None where it is absent. BadMap for anything else."""
+    """The number of an attribute; None where it is absent. MapError for anything else."""
     value = first(source, node, name)
     try:
         return None if value is None else float(value)
@@ -162,7 +162,7 @@ def is_plain(data: Any, dimensions: int) -> bool:
 
 
 def samples(source: Hdf5Contents, data: Any) -> FloatArray:
-    """The data set as float64, (rows, columns); BadMap where it is no array, is not all there, or bursts its bounds."""
+    """The data set as float64, (rows, columns); MapError where it is no array, is incomplete, or exceeds its limits."""
     import h5py
 
     path = source.path
@@ -193,7 +193,7 @@ def _is_usual(kind: Any) -> bool:
 
 
 def _require_written(path: Path, data: Any) -> None:
-    """BadMap where samples were never stored, and HDF5 would show its fill value, or more than the shape says."""
+    """MapError where samples were never stored, and HDF5 would show its fill value, or more than the shape says."""
     if data.chunks:
         wanted = math.prod(-(-side // chunk) for side, chunk in zip(data.shape, data.chunks, strict=True))
         found = data.id.get_num_chunks()

@@ -43,7 +43,7 @@ LATEST_S = 2**31 - 1
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read a map. BadMap with path and reason for whatever is torn, broken or absurd."""
+    """Read a map. MapError with path and reason for whatever is torn, broken or absurd."""
     try:
         with path.open("rb") as file:
             header = _header(path, file.read(max(HEADER_BYTES)))
@@ -152,8 +152,8 @@ def write(surface: SurfaceMap) -> bytes:
     The comment keeps the last step of its history in brief. The system is the last 16 bits of a Zygo's number, as
     its own files have it; 0 for any other instrument.
 
-    BadMap for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map that
-    ends in exact zeros (readers take it for a preallocated file), or whose unit is unknown.
+    MapError for what the format cannot hold: heights beyond 5.2 mm, a part's name of more than 40 characters, a map
+    that ends in exact zeros (readers take it for a preallocated file), or whose unit is unknown.
     """
     require_stated(surface, "pitch")
     name = surface.path or "the map"

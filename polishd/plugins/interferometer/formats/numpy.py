@@ -25,6 +25,7 @@ from polishd.plugins.interferometer.formats.common import (
     parsing,
     pitch,
     require_end,
+    require_size,
     scaled,
 )
 from polishd.plugins.interferometer.formats.format import NOT_SAID, Format
@@ -42,7 +43,7 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the one map that the file holds. BadMap for pickles, complex or 3-D arrays, and several candidates."""
+    """Read the one map that the file holds. MapError for pickles, complex or 3-D arrays, and several candidates."""
     content = content_of(path)
     if FORMAT.sniff(content, path):
         return _bare(path, array_of(path, "the file", content), content)
@@ -57,7 +58,7 @@ def read(path: Path) -> SurfaceMap:
 
 
 def array_of(path: Path, name: str, content: bytes) -> NDArray[np.generic]:
-    """The array of an .npy file, not copied. BadMap unless real numbers, and exactly as long as its header says."""
+    """The array of an .npy file, not copied. MapError unless real numbers, and exactly as long as its header says."""
     with parsing(path, "numpy"):
         file = io.BytesIO(content)
         version = npy_format.read_magic(file)
@@ -85,6 +86,7 @@ def _arrays(path: Path, content: bytes) -> dict[str, NDArray[np.generic]]:
 def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
     if array.ndim != 2 or not array.size:
         raise MapError(f"{path}: holds an array of shape {array.shape}, not rows and columns")
+    require_size(path, *array.shape)
     require_end(path, array)
     return FORMAT.surface(
         path,
@@ -100,9 +102,11 @@ def _bare(path: Path, array: NDArray[np.generic], content: bytes) -> SurfaceMap:
 
 
 def _with_coordinates(path: Path, arrays: dict[str, NDArray[np.generic]], content: bytes) -> SurfaceMap:
+    shapes = [arrays[name].shape for name in "XYZ"]
+    if not shapes[0] == shapes[1] == shapes[2] or len(shapes[2]) != 2:
+        raise MapError(f"{path}: X, Y and Z have the shapes {shapes[0]}, {shapes[1]} and {shapes[2]}")
+    require_size(path, *shapes[2])
     x, y, z = (np.asarray(arrays[name], dtype=np.float64) for name in "XYZ")
-    if not x.shape == y.shape == z.shape or z.ndim != 2:
-        raise MapError(f"{path}: X, Y and Z have the shapes {x.shape}, {y.shape} and {z.shape}")
     others = sorted(name for name, array in arrays.items() if name not in "XYZ" and array.shape == z.shape)
     found = grid_points(path, x.ravel(), y.ravel(), z.ravel())
     scale = pitch(path, found.pitch_x * 1e3, found.pitch_y * 1e3)

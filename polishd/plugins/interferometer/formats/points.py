@@ -25,6 +25,7 @@ from polishd.plugins.interferometer.formats.common import (
     nm_per,
     parsing,
     pitch,
+    require_size,
     scaled,
     sha256_of,
 )
@@ -51,7 +52,7 @@ class GridResult(NamedTuple):
 def grid_points(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_lines: bool = False) -> GridResult:
     """Put (n,) points on the grid that x and y span; places without a point are NaN.
 
-    BadMap where the coordinates are not finite, lie more than 0.1 pixel off any regular grid, fall on one another, or
+    MapError where the coordinates are not finite, lie more than 0.1 pixel off any regular grid, fall on one another, or
     leave most of the grid empty. ``in_lines``: and where the list stops short in the last of its rows or columns.
     """
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
@@ -64,6 +65,7 @@ def grid_points(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_l
     ny, nx = int(rows.max()) + 1, int(columns.max()) + 1
     if ny * nx > CELLS_PER_POINT * x.size + 64:
         raise MapError(f"{path}: {x.size} points for {ny} x {nx} places: not on a regular grid")
+    require_size(path, ny, nx)
     place = (ny - 1 - rows) * nx + columns
     counts = np.bincount(place, minlength=ny * nx)
     if counts.max() > 1:
@@ -76,7 +78,7 @@ def grid_points(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_l
 
 
 def _require_end(path: Path, empty: NDArray[np.int64], last: tuple[int, int]) -> None:
-    """BadMap where all (n, 2) empty places are of the row, or of the column, of the point that was listed last."""
+    """MapError where all (n, 2) empty places are of the row, or of the column, of the point that was listed last."""
     for axis, name in enumerate(("row", "column")):
         if len(empty) and (empty[:, axis] == last[axis]).all() and np.ptp(empty[:, 1 - axis]) == len(empty) - 1:
             raise MapError(f"{path}: its last {name} lacks {len(empty)} points: torn, or still being written")
@@ -107,15 +109,19 @@ def _places(path: Path, axis: str, values: FloatArray, spacing: float) -> tuple[
 FORMAT = Format("points", 3)
 SUFFIXES = (".xyz", ".csv", ".txt", ".asc", ".pts")
 MOST_HEADER_LINES = 64
-NUMBER = rb"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?"
-POINT = re.compile(rb"[ \t]*" + NUMBER + rb"(?:[ \t]*[,;][ \t]*|[ \t]+)" + NUMBER + rb"(?:[ \t,;]|$)")
-TITLE = re.compile(r"^\W*([a-z]+)\W*?(?:[_\s]*[\[(/]\s*|[_\s]+)?([a-z\u00b5\u03bc\u00c5]*)[\])]?\W*$", re.IGNORECASE)
+MOST_TITLE_BYTES = 256
+"""A longer line before the first point is text, not titles or units."""
+# Possessive: a broken line of any length is gone over a few times, not once for each of its characters
+NUMBER = rb"[-+]?(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][-+]?\d++)?"
+POINT = re.compile(rb"[ \t]*+" + NUMBER + rb"[ \t]*+(?:[,;][ \t]*+|(?<=[ \t]))" + NUMBER + rb"(?:[ \t,;]|$)")
+TITLE = re.compile(r"\W*+([a-z]++)\W*+(?:_[_\s]*+)?+(?:[\[(/]\s*+)?+([a-z\u00b5\u03bc\u00c5]*+)\W*+", re.IGNORECASE)
+"""A name and its unit, with blanks, underscores, brackets or a slash between: ``x_mm``, ``X [mm]``, ``"Y / mm"``."""
 NO_DATA = re.compile(
     rb"no[ _]?data|#?n/?a(?=[\s,;]|$)|bad|null|none|-{2,}|\*+|[-+]?1[.,]#[a-z]+\d*|[-+]?nan\(\w+\)", re.IGNORECASE
 )
 """What programs write where there is no height; C libraries' spellings of NaN too ("-1.#IND", "nan(ind)")."""
 COMMENT = re.compile(rb"^[ \t]*[#!%][^\n]*", re.MULTILINE)
-DECIMAL_COMMA = re.compile(rb"[ \t]*[^\s,]*(?:,[^\s,]+)?(?:[ \t]+[^\s,]+(?:,[^\s,]+)?){2}[ \t]*\r?$")
+DECIMAL_COMMA = re.compile(rb"(?:[ \t]*+[^\s,]*+(?:,[^\s,]++)?+)?(?:[ \t]++[^\s,]++(?:,[^\s,]++)?+){2}[ \t]*+\r?$")
 """Three words between blanks, a comma at most inside each."""
 WAVEFRONT = re.compile(r"wave|opd|phase", re.IGNORECASE)
 CAMERA = {"col": "x", "column": "x", "row": "y", "line": "y"}
@@ -142,7 +148,7 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read points on a regular grid, in any order, with holes. BadMap where they are on none, or no such list."""
+    """Read points on a regular grid, in any order, with holes. MapError where they are on none, or no such list."""
     content = content_of(path)
     sha256, whole = sha256_of(content), content[-1:] == b"\n"
     header, body = _split(path, content)
@@ -178,8 +184,8 @@ def _split(path: Path, content: bytes) -> tuple[PointListHeader, bytes]:
         line = content[at : end if end >= 0 else len(content)].rstrip(b"\r")
         if POINT.match(line):
             return header, content[at:]
-        titles = _header(line.decode("utf-8", "replace"))
-        units = _units(line.decode("utf-8", "replace"))
+        text = line.decode("utf-8", "replace") if len(line) <= MOST_TITLE_BYTES else ""
+        titles, units = _header(text), _units(text)
         if units:
             x, y, z = header.order
             header = header._replace(units=(units[x], units[y], units[z]))
@@ -216,7 +222,7 @@ def _header(line: str) -> PointListHeader | None:
     text = text if re.search(r"[,;\t]", text) else _paired(text)
     between = r"[,;\t]" if re.search(r"[,;\t]", text) else r"\s+(?![\[(])"
     titles = [title for title in re.split(between, text) if title]
-    found = [TITLE.match(title.strip()) for title in titles]
+    found = [TITLE.fullmatch(title.strip()) for title in titles]
     if len(titles) != 3 or None in found:
         return None
     names, units = zip(*((match[1], match[2]) for match in found if match), strict=True)
@@ -231,6 +237,7 @@ def _header(line: str) -> PointListHeader | None:
 
 def _table(path: Path, body: bytes) -> FloatArray:
     """(n, 3) numbers, missing heights NaN."""
+    require_size(path, 1 + max(body.count(b"\n"), body.count(b"\r")), 1)
     first = body[: body.find(b"\n") if b"\n" in body else len(body)]
     if b";" in first:  # then a comma is a decimal one
         body = body.replace(b",", b".").replace(b";", b",")

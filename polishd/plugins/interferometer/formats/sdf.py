@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from polishd.plugins.interferometer.formats.common import (
     parsing,
     pitch,
     require_end,
+    require_size,
     scaled,
 )
 from polishd.plugins.interferometer.formats.format import Format
@@ -28,6 +30,8 @@ from polishd.plugins.interferometer.formats.x3p import TURNED
 FORMAT = Format("sdf", 2, (b"AISO-", b"BISO-", b"ABCR-", b"BBCR-"))
 MOST_ASCII_BYTES = 2**26
 BOM = b"\xef\xbb\xbf"
+COUNTS_AT = 42
+"""Offset of the numbers of columns and rows in binary files."""
 HEADER_BYTES, HEADER_BYTES_2 = 81, 85
 """Of binary files, and since the standard's second edition; the last byte but one is the type of the samples."""
 ITEM_BYTES = (1, 2, 4, 4, 1, 2, 4, 8)
@@ -41,17 +45,19 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read a surface. BadMap for profiles, for whatever is torn, and for scales that are no number."""
+    """Read a surface. MapError for profiles, for whatever is torn, and for scales that are no number."""
     import sdfio
 
     whole = content_of(path)
     content = whole.removeprefix(BOM)
     if content[:1] in b"aA" and len(content) > MOST_ASCII_BYTES:
         raise MapError(f"{path}: more than {MOST_ASCII_BYTES} bytes of ASCII: write it as binary SDF")
+    _check_size(path, content)
     with parsing(path, "sdfio"):
         file = sdfio.read(io.BytesIO(content))
     if content.find(content[:8], 8) >= 0:
         raise MapError(f"{path}: holds another SDF file: two were written into one")
+    require_size(path, *file.data.shape)
     header = file.header
     if not (math.isfinite(header.z_scale) and header.z_scale > 0):
         raise MapError(f"{path}: Zscale is {header.z_scale:g}: the height's scale is not known")
@@ -77,8 +83,16 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
+def _check_size(path: Path, content: bytes) -> None:
+    """Refuse a binary file that states more samples than any map, before sdfio makes float64 of them."""
+    counts = "<II" if content[1:8].upper() == b"ISO-2.0" else "<HH"
+    if content[:1] in b"bB" and len(content) >= COUNTS_AT + struct.calcsize(counts):
+        columns, rows = struct.unpack_from(counts, content, COUNTS_AT)
+        require_size(path, rows, columns)
+
+
 def _require_text(path: Path, trailer: bytes) -> None:
-    """BadMap where what follows binary samples is no text: then they are more than the header says."""
+    """MapError where what follows binary samples is no text: then they are more than the header says."""
     if b"\0" in trailer or any(byte < 32 and byte not in b"\t\r\n\x1a" for byte in trailer[:256]):
         raise MapError(
             f"{path}: {len(trailer)} bytes follow its samples, and are no text: more than its header asks for"

@@ -1,7 +1,7 @@
 """Less common formats (Wyko .opd, SUR and some forty others) through SurfaceTopography, in a separate process.
 
 It pulls in 38 packages and parses whatever it is given, so none of it is imported here: a worker with bounds on its
-memory and time reads the file, and what goes wrong there is a BadMap here.
+memory and time reads the file, and its errors become MapError here.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def sniff(head: bytes, path: Path) -> bool:  # noqa: ARG001  the formats have no
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the file's default channel. BadMap without the extra, and for whatever the worker could not read in time."""
+    """Read the file's default channel. MapError without the extra, and for all that the worker cannot read in time."""
     if not sniff(b"", path):
         raise MapError(f"{path}: {path.suffix or 'no suffix'} is none of the formats read through SurfaceTopography")
     return sandbox.read(__name__, path, BOUNDS)

@@ -40,7 +40,7 @@ MIN_IS_BLACK = 1
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the one page. BadMap without tifffile, for several pages, colours, complex numbers, and torn files."""
+    """Read the one page. MapError without tifffile, for several pages, colours, complex numbers, and torn files."""
     tifffile = extra(path, "tifffile", "tiff")
     content = content_of(path)
     with parsing(path, "tifffile"), tifffile.TiffFile(io.BytesIO(content)) as file:
@@ -83,7 +83,7 @@ def _check_page(path: Path, page: Any, length: int) -> None:
 
 
 def _check_pieces(path: Path, page: Any) -> None:
-    """BadMap where strips or tiles are not those that the size asks for: tifffile would show zeros in their place."""
+    """MapError where strips or tiles are not those that the size asks for: tifffile would show zeros in their place."""
     rows, columns = page.shape
     tall, wide = (page.tilelength, page.tilewidth) if page.is_tiled else (min(max(page.rowsperstrip, 1), rows), columns)
     count = -(-rows // max(tall, 1)) * -(-columns // max(wide, 1))

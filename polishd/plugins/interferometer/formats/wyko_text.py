@@ -50,7 +50,7 @@ class WykoHeader(NamedTuple):
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the heights. BadMap for whatever is torn, broken or absurd, and where no block holds heights."""
+    """Read the heights. MapError for whatever is torn, broken or absurd, and where no block holds heights."""
     content = content_of(path)
     header, found = _split(path, content)
     name = next((name for name in HEIGHTS if name in found), None)

@@ -6,6 +6,7 @@ The standard's coordinates are right-handed with y growing along the rows, so th
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from polishd.plugins.interferometer.formats.common import (
     members_of,
     parsing,
     pitch,
+    require_size,
     require_stated,
     scaled,
 )
@@ -41,12 +43,14 @@ def sniff(head: bytes, path: Path) -> bool:
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read the one layer of a surface, checksums verified. BadMap for profiles, point clouds, several layers."""
+    """Read the one layer of a surface, checksums verified. MapError for profiles, point clouds, several layers."""
     import x3pio
 
     content = content_of(path)
     _check_sizes(path, content)
     with parsing(path, "x3pio"):
+        about = x3pio.info(io.BytesIO(content))
+        require_size(path, about.layer_count * about.shape[0], math.prod(about.shape[1:]))
         file = x3pio.read(io.BytesIO(content))
         if not isinstance(file, x3pio.Surface) or len(file.layers) != 1:
             raise MapError(f"{path}: holds a {type(file).__name__} of {len(file.layers)} layers, not one surface")
@@ -70,7 +74,7 @@ def read(path: Path) -> SurfaceMap:
 
 
 def write(surface: SurfaceMap) -> bytes:
-    """X3P of float64 metres, NaN where there is no data; BadMap for a map that leaves anything open."""
+    """X3P of float64 metres, NaN where there is no data; MapError for a map that leaves anything open."""
     import x3pio
 
     require_stated(surface, "pitch", "square pixels")

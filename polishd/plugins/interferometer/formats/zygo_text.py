@@ -1,4 +1,4 @@
-"""What Zygo's files say of their counts, in MetroPro's binary ones as in texts."""
+"""Header of Zygo's files, binary (MetroPro) and text, and the readers of the texts."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class ZygoHeader:
         }
 
     def about(self, path: Path) -> dict[str, Any]:
-        """Pitch, part, instrument and time. BadMap for a pitch that no camera has."""
+        """Pitch, part, instrument and time. MapError for a pitch that no camera has."""
         metres = self.camera_res_m
         if metres != 0 and not (math.isfinite(metres) and 1e-8 <= metres <= 0.1):
             raise MapError(f"{path}: CameraRes is {metres:g} m a pixel")
@@ -87,7 +87,7 @@ class ZygoHeader:
         }
 
     def check(self, path: Path, most: float) -> None:
-        """BadMap where a factor or a side is out of range, or the file can hold no more than ``most`` samples."""
+        """MapError where a factor or a side is out of range, or the file can hold no more than ``most`` samples."""
         require_size(path, self.rows, self.columns, most)
         if self.resolution not in RESOLUTION:
             raise MapError(f"{path}: PhaseRes is {self.resolution}, not 0, 1 or 2: the height's scale is not known")
@@ -112,7 +112,7 @@ class TextFormat(Format):
     def opened(self, path: Path, smallest: int) -> tuple[bytes, ZygoHeader]:
         """The whole content, and its header. ``smallest``: bytes of the shortest sample, which the frame's must fit.
 
-        BadMap where it is no such file, or a factor or size is out of range.
+        MapError where it is no such file, or a factor or size is out of range.
         """
         content = content_of(path)
         name = self.magic[0].decode()
@@ -160,7 +160,7 @@ def _fields(lines: list[str], end: int) -> ZygoHeader:
 
 
 def require_end(path: Path, content: bytes, end: int, what: str) -> None:
-    """BadMap where anything but blanks follows."""
+    """MapError where anything but blanks follows."""
     if content[end:].strip():
         raise MapError(f"{path}: something follows the end of its {what}: {content[end:].strip()[:20]!r}")
 
@@ -169,7 +169,7 @@ ASCII = TextFormat("zygo_ascii", 1, (b"Zygo ASCII Data File",))
 
 
 def read(path: Path) -> SurfaceMap:
-    """Read a map. BadMap with path and reason for whatever is torn, broken or absurd."""
+    """Read a map. MapError with path and reason for whatever is torn, broken or absurd."""
     content, header = ASCII.opened(path, smallest=2)
     counts = block(path, content, _phase(path, content, header.start), (header.rows, header.columns))
     if (counts != np.trunc(counts)).any():
@@ -203,7 +203,7 @@ SIGNED = "its header says an inverted sign, and the heights are taken as they st
 
 
 def read_zygo_xyz(path: Path) -> SurfaceMap:
-    """Read a map: each pixel must be listed exactly once. BadMap for whatever is torn, broken or absurd."""
+    """Read a map: each pixel must be listed exactly once. MapError for whatever is torn, broken or absurd."""
     content, header = ZYGO_XYZ_FORMAT.opened(path, smallest=6)
     height_nm = checked(path, _heights_um(path, content, header) * NM_PER_UM, NM_PER_UM)
     factors = {"nm_per_unit": NM_PER_UM, "origin_px": header.origin}

@@ -137,7 +137,7 @@ _AXES = "XYZABC"
 
 
 class Tables(NamedTuple):
-    """See ``codes.py`` for what the numbers mean."""
+    """See ``kernels.py`` for what the numbers mean."""
 
     flags: Sequence[int]
     g: Sequence[int]

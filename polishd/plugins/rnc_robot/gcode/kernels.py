@@ -55,7 +55,7 @@ VALUE_OF = (
     0, 0, 0, 0, 0, 0, 1, 0,
 )  # fmt: skip
 # ``now``: x y z mm, a b c deg, i j k; then F as written, and mm per unit of lengths and of feeds.
-AXES, FEED, UNIT_MM, FEED_UNIT_MM, VALUE, NOW_SIZE = 9, 9, 10, 11, 12, 13
+AXES, FEED, UNIT_MM, FEED_UNIT_MM, VALUE = 9, 9, 10, 11, 12
 
 # Columns of what is found.
 M_LINE, M_KIND, M_START, M_END, M_STYLE, M_TAIL, M_F_LINE, M_LOWER, MOVE_INTS = range(8 + 1)

@@ -38,7 +38,7 @@ class FormattedNumbers(NamedTuple):
 
 
 class Edits(NamedTuple):
-    """Places in a text, in order, and what comes there; see ``write.splice``."""
+    """Places in a text, in order, and what comes there; see ``kernels.splice``."""
 
     start: Any
     end: Any
@@ -99,7 +99,7 @@ class Writer:
 def numbers_of(
     rule: Callable[..., Any], size: int, name: str, line: IntArray, times: FloatArray, *arguments: Any
 ) -> tuple[FormattedNumbers, Any]:
-    """The numbers that ``write.direct`` or ``write.reciprocal`` finds for (n,) times, and what it returns.
+    """The numbers that ``kernels.direct`` or ``kernels.reciprocal`` finds for (n,) times, and what it returns.
 
     ProgramError at the first time that no number says: too large, or a feed of zero. ``size``: bytes of the text.
     """
@@ -343,7 +343,7 @@ def read(dialect: GcodeDialect, text: bytes, name: str) -> Program:
 
 
 def rewrite(dialect: GcodeDialect, program: Program, time_s: FloatArray) -> bytes:
-    """The program with ``time_s`` (n,) seconds at its points, as ``stream.rewrite_stream`` writes it.
+    """The program with ``time_s`` (n,) seconds at its points, as ``rewrite_stream`` writes it.
 
     ProgramError for times that cannot be written.
     """

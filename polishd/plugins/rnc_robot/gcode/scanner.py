@@ -1,4 +1,4 @@
-"""A line of NC text as words. Plain Python that numba compiles for large programs: see ``compiled.py``."""
+"""A line of NC text as words. Plain Python that numba compiles for large programs: see ``jit.py``."""
 
 from __future__ import annotations
 

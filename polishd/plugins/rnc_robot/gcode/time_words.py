@@ -22,7 +22,7 @@ PIECE_BYTES = 1 << 19
 
 @dataclass(frozen=True, slots=True)
 class ProgramChunk:
-    """Whole lines of a program, and what is in them; see ``codes.py`` for the columns."""
+    """Whole lines of a program, and what is in them; see ``kernels.py`` for the columns."""
 
     text: bytes
     first_line: int

@@ -1,4 +1,4 @@
-"""What a program in a robot language says of its points and positions, as columns: objects take a kilobyte each."""
+"""Points and positions of a program in a robot language, as columns: an object for each would take a kilobyte."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def take_context(found: Scan, statement: MatchedStatement) -> None:
 # The file beside the program: all else in it does not count.
 
 _DATA = re.compile(rb"<(/?)(Data|Value)\b([^<>]*)>")
-_ATTRIBUTE = re.compile(rb"([A-Za-z_][\w:.-]*)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
+_ATTRIBUTE = re.compile(rb"(?<![\w:.-])([A-Za-z_][\w:.-]*+)\s*+=\s*+(?:\"([^\"<]*)\"|'([^'<]*)')")
 
 
 def take_declarations_beside(found: Scan) -> None:

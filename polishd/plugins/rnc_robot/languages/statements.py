@@ -77,7 +77,7 @@ LONGEST_LINE = 1 << 14
 
 def require_short_lines(source: ProgramSource) -> None:
     """ProgramError at the first line of more than ``LONGEST_LINE`` bytes."""
-    long = re.search(rb"[^\n]{%d}" % (LONGEST_LINE + 1), source.data)
+    long = re.search(rb"^[^\n]{%d}" % (LONGEST_LINE + 1), source.data, re.MULTILINE)
     if long:
         line = source.data.count(b"\n", 0, long.start()) + 1
         raise source.refuse(line, f"a line of more than {LONGEST_LINE} bytes", "check that the file is a program")

@@ -1,4 +1,4 @@
-"""Broken files of every format, read through the plugin's readers: a map or BadMap, and no more memory than warranted.
+"""Broken files of every format, read through the plugin's readers: a map or MapError, within limits of memory.
 
 The bound on Python's and NumPy's memory is 4 times the file and a floor of 4 MiB (libraries' tables, parsers' stacks);
 what libraries allocate in C shows in the process' high-water mark, which a whole part may raise by 96 MiB at most.
@@ -7,16 +7,18 @@ what libraries allocate in C shows in the process' high-water mark, which a whol
 from __future__ import annotations
 
 import resource
+import sys
 import time
 import zlib
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from polishd.api import MapError, SurfaceMap, SurfaceReader
-from polishd.plugins.interferometer import READERS
+from polishd.plugins.interferometer import READERS, formats
 from tests.memory import peak_bytes
 from tests.unit.plugins.interferometer import map_files, map_files_other
 from tests.unit.plugins.interferometer.map_mutations import mutated
@@ -39,7 +41,7 @@ for file_name, valid in EXAMPLES.values():
 
 
 def read_broken(reader: SurfaceReader, path: Path) -> SurfaceMap | None:
-    """What the reader makes of the file: a map that is one, or None for BadMap; anything else fails."""
+    """Return the map, or None where the reader raises MapError; anything else fails."""
     began = time.process_time()
     try:
         surface = reader.read(path)
@@ -88,6 +90,21 @@ def fuzz(name: str, part: int, count: int, folder: Path, measure_every: int) -> 
 
 def test_every_reader_is_fuzzed() -> None:
     assert all(VARIANTS.values()), {name for name, files in VARIANTS.items() if not files}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_more_samples_than_a_camera_has_are_refused(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in list(sys.modules.values()):
+        if module.__name__.startswith(formats.__name__) and hasattr(module, "MOST_SAMPLES"):
+            monkeypatch.setattr(module, "MOST_SAMPLES", 5)
+    read = next(reader.read for reader in READERS if reader.name == name)
+    if isinstance(read, partial):  # in the worker, which has the limit as it was
+        read = import_module(read.args[0]).parse
+    for file_name, valid in VARIANTS[name]:
+        path = tmp_path / file_name
+        path.write_bytes(valid)
+        with pytest.raises(MapError, match=r"no interferometer's camera|samples"):
+            read(path)
 
 
 @pytest.mark.one_of_each

@@ -8,7 +8,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.model.errors import ProgramError
-from polishd.plugins.rnc_robot.dialect import LANGUAGES, detect, dialect
+from polishd.plugins.rnc_robot.dialect import DEFAULT, LANGUAGES, detect, dialect
 from polishd.plugins.rnc_robot.formats import read
 from tests.commissioned import commissioned
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
@@ -115,3 +115,7 @@ def test_a_cell_whose_format_is_not_its_programs_says_which_it_is(polishd: Polis
     assert 'the file looks like KUKA KRL. To do: use --dialect krl (program.format = "krl" in a cell)' in " ".join(
         (said.out + said.err).split()
     )
+
+
+def test_a_long_line_that_is_no_dwell_is_gone_over_once() -> None:
+    assert detect(b"O1\n" + b"G4" * 400_000 + b"\n", "p.nc").dialect == DEFAULT

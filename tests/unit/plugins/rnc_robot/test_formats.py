@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
+from polishd.api import OwnLines
 from polishd.model.errors import ConfigError, ProgramError
 from polishd.model.process import Optic
 from polishd.model.program import Encoding, Program
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.dialect import DIALECTS, GcodeDialect, dialect
-from polishd.plugins.rnc_robot.formats import CHUNK, path_program, read
+from polishd.plugins.rnc_robot.formats import CHUNK, find_misread_line, path_program, read
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.process.optic_surface import unit_normals
 from polishd.process.toolpath.apertures import circle
@@ -230,3 +231,7 @@ def test_linuxcnc_reads_it(encoding: Encoding, tmp_path: Path) -> None:
     x = np.array([[float(number) for number in move.split(",")[:3]] for move in moves])
     np.testing.assert_allclose(x, POINTS[1:], atol=5.1e-5)
     assert said.stdout.count("DWELL(0.2500)") == (len(LENGTH) if encoding == "dwell" else 0)
+
+
+def test_a_long_line_of_words_that_ends_otherwise_is_gone_over_once() -> None:
+    assert find_misread_line(dialect("krl"), OwnLines("the driver", {}, ("X111" * 200 + "!",))) == ""

@@ -67,6 +67,19 @@ def test_the_first_image_extension_is_taken(tmp_path: Path) -> None:
     assert surface.unsaid == {"surface", "orientation", "pitch"}
 
 
+def test_no_more_units_are_looked_at_than_a_file_of_maps_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from astropy.io import fits as astropy_fits
+
+    monkeypatch.setattr(fits, "MOST_EXTENSIONS", 3)
+    seen: list[Any] = []
+    monkeypatch.setattr(fits, "_is_image", lambda header: not seen.append(header))
+    image = astropy_fits.PrimaryHDU(heights_nm())
+    file = io.BytesIO()
+    astropy_fits.HDUList([image, *(astropy_fits.ImageHDU(np.zeros((2, 2))) for _ in range(6))]).writeto(file)
+    fits.read(put(tmp_path, file.getvalue()))
+    assert len(seen) == 1 + 3  # until the first image, and of all that count
+
+
 @pytest.mark.parametrize("unit", [None, "waves", "counts", "rad"])
 def test_an_unknown_unit_is_left_open(tmp_path: Path, unit: str | None) -> None:
     surface = fits.read(put(tmp_path, fits_file(BUNIT=unit)))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,6 +65,26 @@ def test_units_of_the_header_count(tmp_path: Path, header: str, nm: float, mm: f
     surface = points.read(put(tmp_path, points_file(header=header).replace(b"nan", b"nan")))
     assert surface.factors["nm_per_unit"] == nm
     assert surface.pitch_mm == pytest.approx(PITCH_MM * mm)
+
+
+@pytest.mark.parametrize(
+    "line", ["a" + " " * 20_000 + "1,b,c", "x_mm,y_mm,z_um" + " " * 300, "1" * 2000 + " " + "1" * 2000 + "x"]
+)
+def test_a_long_line_before_the_points_is_no_title(tmp_path: Path, line: str) -> None:
+    surface = points.read(put(tmp_path, points_file(header=f"{line}\n")))
+    assert surface.unsaid == {"unit", "pitch"}
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text"),
+    [
+        (points.TITLE, "a" + " " * 20_000 + "1"),
+        (points.POINT, b"1" * 20_000 + b" " + b"1" * 20_000 + b"x"),
+        (points.DECIMAL_COMMA, b" " * 500_000 + b"1 2 3 4"),
+    ],
+)
+def test_a_long_line_that_does_not_match_is_gone_over_once(pattern: re.Pattern[Any], text: Any) -> None:
+    assert pattern.fullmatch(text) is None  # a day, where each blank is tried as the end of each part
 
 
 def test_without_units_they_are_left_open(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_a_map_without_a_pitch_is_not_written() -> None:
     ("old", "new", "said"),
     [
         ("<SizeX>7<", "<SizeX>8<", "504 bytes"),
-        ("<SizeX>7<", "<SizeX>70000000000<", "504 bytes"),
+        ("<SizeX>7<", "<SizeX>70000000000<", "no interferometer's camera"),
         ("<SizeZ>1<", "<SizeZ>2<", "504 bytes"),
         ("<Increment>0.000125<", "<Increment>-0.000125<", "pitch in"),
         ("<Increment>0.000125<", "<Increment>inf<", "finite"),

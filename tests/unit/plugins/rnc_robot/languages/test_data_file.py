@@ -173,6 +173,12 @@ def test_a_wrong_file_beside_it_is_refused_by_line(name: str, program: bytes, be
     assert "To do: " in str(refused.value)
 
 
+def test_a_long_name_without_a_value_in_the_file_is_gone_over_once() -> None:
+    beside = DTX.replace(b"</Datas>", b"<Data " + b"a" * 1_000_000 + b"/></Datas>")
+    expected = formats.read(dialect("val3"), PGX, "p", DTX).end_mm
+    np.testing.assert_array_equal(formats.read(dialect("val3"), PGX, "p", beside).end_mm, expected)
+
+
 def test_a_program_may_set_a_position_of_the_file_before_it_is_used() -> None:
     text = PGX.replace(b"begin\n", b"begin\n  pPath[3].trsf={103,3,20,180,0,0}\n")
     assert formats.read(dialect("val3"), text, "p", DTX.replace(b' fatherId="fPart[0]"', b"")).end_mm[-1, 1] == 3
