@@ -163,7 +163,7 @@ NO_MAP = b"?\n"
 
 @dataclass(frozen=True, slots=True)
 class SurfaceReader:
-    """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises BadMap.
+    """A surface-map format. ``sniff`` sees the first 4096 bytes and the path; ``read`` raises MapError.
 
     polishd tries readers in the order of their declaration: readers by magic number before readers by name, and those
     of other distributions before polishd's, some of which accept any text.
@@ -175,7 +175,7 @@ class SurfaceReader:
     suffixes: tuple[str, ...] = ()
     """Usual endings of such files (".dat"), lower case; they select ``write``."""
     write: Callable[[SurfaceMap], bytes] | None = None
-    """(map) -> file content; raises BadMap if the format cannot hold it. None: read only."""
+    """(map) -> file content; raises MapError if the format cannot hold it. None: read only."""
     dates: bool = False
     """Whether such files contain their time of measurement; otherwise the file's time is used."""
 
@@ -185,7 +185,7 @@ class SurfaceReader:
         Removes an impossible date or scale (``process.metrology.conditioning``).
 
         Raises:
-            SurfaceError: From the reader; BadMap, with file and reader, for any other exception of the reader.
+            SurfaceError: From the reader; MapError, with file and reader, for any other exception of the reader.
         """
         try:
             if not self.sniff(head, path):

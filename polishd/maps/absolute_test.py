@@ -88,7 +88,7 @@ def absolute_verb(files: Sequence[Path], asked: AbsoluteOptions, *, as_json: boo
 def separate_maps(
     surfaces: Sequence[SurfaceMap], poses: Sequence[PartPose], asked: AbsoluteOptions, source: MapSource
 ) -> AbsoluteTestOutput:
-    """Separate part and instrument of maps in memory. BadMap."""
+    """Separate part and instrument of maps in memory. MapError."""
     axis = None if asked.axis is None else _numbers("--axis", asked.axis, 2)
     pitch = one_pitch(surfaces)
     _require_one_instrument(surfaces)

@@ -60,7 +60,7 @@ def subtract_maps(surface: SurfaceMap, other: SurfaceMap) -> Difference:
     samples; noise from sample to sample becomes less.
 
     Raises:
-        BadMap: they cannot be laid on each other.
+        MapError: they cannot be laid on each other.
     """
     pair = paired(surface, other)
     one, two = pair.heights_nm
@@ -223,7 +223,7 @@ def _mean_map(surfaces: Sequence[SurfaceMap], found: AverageResult) -> SurfaceMa
 def _without_system(
     surfaces: Sequence[SurfaceMap], error: SurfaceMap, *, mixed: bool
 ) -> tuple[list[SurfaceMap], list[str]]:
-    """Subtract the instrument's own error from each map, and return notes; BadMap for another instrument's map."""
+    """Subtract the instrument's own error from each map, and return notes; MapError for another instrument's map."""
     for surface in surfaces:
         named = surface.instrument and error.instrument
         if named and not mixed and not same_system(surface.instrument, error.instrument):

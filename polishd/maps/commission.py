@@ -42,7 +42,7 @@ def commission_verb(
     """Prove and record; a table and, with ``out``, a picture, which is drawn where nothing is proved, too.
 
     Raises:
-        BadMap: the map does not show the artefact as the profile has it; the profile's file is as it was.
+        MapError: the map does not show the artefact as the profile has it; the profile's file is as it was.
         ConfigError: the profile or the picture's file is wrong.
     """
     require_picture(out)

@@ -86,7 +86,7 @@ def paired(before: SurfaceMap, after: SurfaceMap, *, trim: int = 0) -> Pair:
     """Two maps on the coarser one's grid, over the samples that both have.
 
     Raises:
-        BadMap: shapes differ and a pitch is missing, or little of the maps covers the same place.
+        MapError: shapes differ and a pitch is missing, or little of the maps covers the same place.
     """
     notes = _part_notes(before, after)
     pitch, other = before.pitch_mm, after.pitch_mm

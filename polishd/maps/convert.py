@@ -88,7 +88,7 @@ def store(surface: SurfaceMap, target: Path, source: MapSource) -> dict[str, Any
 
 
 def require_same(surface: SurfaceMap, back: SurfaceMap, target: Path) -> float:
-    """Largest change of a height, nm; BadMap where the written file reads back as another map or states more."""
+    """Largest change of a height, nm; MapError where the written file reads back as another map or states more."""
     if back.height_nm.shape != surface.height_nm.shape or not np.array_equal(back.valid, surface.valid):
         raise MapError(f"{target}: the format does not hold the map's shape or its missing samples; take another")
     pitch, other = surface.pitch_mm, back.pitch_mm

@@ -51,7 +51,7 @@ def figured(surface: SurfaceMap, trim: int, edges: Sequence[float], alignment: R
         alignment: what the level map is without.
 
     Raises:
-        BadMap: no sample is left.
+        MapError: no sample is left.
     """
     height, pitch = surface.height_nm, surface.pitch_mm
     mask = trim_mask(surface.valid, trim)

@@ -78,7 +78,7 @@ class Mask:
         return cls(text, _shape(text, kind, rest), inverted, in_px)
 
     def holds(self, surface: SurfaceMap) -> BoolArray:
-        """(ny, nx) samples of a map inside the mask. BadMap where that is unknown."""
+        """(ny, nx) samples of a map inside the mask. MapError where that is unknown."""
         if isinstance(self.what, SurfaceMap):
             found = _valid_on(surface, self.what)
         elif self.in_px:
@@ -93,7 +93,7 @@ class Mask:
 
 
 def masked(surface: SurfaceMap, masks: Sequence[Mask]) -> SurfaceMap:
-    """The map without samples outside any mask, and the sample count of each; BadMap where none is left."""
+    """The map without samples outside any mask, and the sample count of each; MapError where none is left."""
     if not masks:
         return surface
     valid = surface.valid
@@ -273,7 +273,7 @@ class MapSource:
         return f"maps are read by the profile {self.instrument.name!r}{less}"
 
     def read(self, path: Path) -> SurfaceMap:
-        """Read a map with profile and masks; BadMap where it cannot be read."""
+        """Read a map with profile and masks; MapError where it cannot be read."""
         try:
             odd = path.exists() and not path.is_file()
         except OSError as error:  # the name is too long, or the folder cannot be entered

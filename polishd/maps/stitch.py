@@ -89,7 +89,7 @@ def require_lines(files: Sequence[Path], listed: Collection[str], at: Path, line
 
 
 def one_pitch(surfaces: Sequence[SurfaceMap]) -> float:
-    """Common pitch of maps of one part; BadMap where there is none, or where they show several parts."""
+    """Common pitch of maps of one part; MapError where there is none, or where they show several parts."""
     pitches: list[float] = []
     for one in surfaces:
         if one.pitch_mm is None:

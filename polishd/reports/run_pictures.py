@@ -35,7 +35,7 @@ from polishd.rendering.plots import (
 )
 from polishd.rendering.scales import PERCENTILE, height_limit
 from polishd.reports import wording
-from polishd.reports.pictures import RIGHT_IN, NamedMap, chart
+from polishd.reports.pictures import RIGHT_IN, chart
 from polishd.reports.run_reader import Arrays, BoolArray, Cycle, FloatArray, ReportSurface
 from polishd.util.files import write_atomic
 
@@ -164,11 +164,6 @@ def prediction_picture(cycle: Cycle, after: ReportSurface) -> Figure:
         after.named("Measured - predicted", difference),
     )
     return map_grid([MapGroup([one.panel() for one in maps], limit_nm)], after.pitch_mm)
-
-
-def predicted_map(cycle: Cycle, before: ReportSurface) -> NamedMap:
-    """Return the map that the plan predicted, on the grid of the map before it."""
-    return before.named("Predicted", residual_of(cycle))
 
 
 def residual_of(cycle: Cycle) -> FloatArray:

@@ -158,7 +158,7 @@ def tif_verb(
 def tif_of_maps(
     source: MapSource, maps: tuple[Path, Path], seconds: float, place: SpotPlace
 ) -> tuple[MeasuredTif, TifReport]:
-    """The TIF of a spot, and how well it was measured; BadMap or ComputeError where the maps show none."""
+    """The TIF of a spot, and how well it was measured; MapError or ComputeError where the maps show none."""
     before, after = (source.read(path) for path in maps)
     for path, found in zip(maps, (before, after), strict=True):
         if found.pitch_mm is None:

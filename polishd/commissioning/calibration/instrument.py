@@ -59,7 +59,7 @@ def instrument_verb(
 
     Raises:
         ConfigError: the cell names no commissioned profile, or what is to be written cannot be.
-        BadMap, SurfaceError, DeviceError: of the maps.
+        MapError, SurfaceError, DeviceError: of the maps.
     """
     profile = _profile(config)
     if asked.angles is None and asked.at is None:

@@ -167,7 +167,7 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
     """The map, with what was answered of it: ``units`` as of ``--units``, and its pitch where the file has none.
 
     Raises:
-        BadMap: no reader knows it, or it has no lateral scale to tell a size by; it says which answer gives one.
+        MapError: no reader knows it, or it has no lateral scale to tell a size by; it says which answer gives one.
     """
     try:
         read = MapSource.of(units=units).read(path)

@@ -104,7 +104,7 @@ class DemoFiles:
 
 
 def write_demo(out: Path, surface: Path | None, tolerance_nm: float, cycles: int, correction: str | None) -> DemoFiles:
-    """Write config, simulator config and program into ``out``; BadMap where ``surface`` cannot be used."""
+    """Write config, simulator config and program into ``out``; MapError where ``surface`` cannot be used."""
     part: dict[str, Any] = {}
     period = 0.0
     if surface is not None:

@@ -235,7 +235,6 @@ SAME = 1e-6
 """Relative difference that figures of the same file may have on another processor."""
 HSF_MM = 0.12
 TERMS = 36
-E_LINE_NM = 546.07
 
 
 @dataclass(frozen=True, slots=True)
