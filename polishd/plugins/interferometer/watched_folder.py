@@ -35,6 +35,7 @@ from polishd.api import (
 )
 from polishd.model.instrument import Instrument
 from polishd.plugins.interferometer import map_files
+from polishd.plugins.interferometer.formats.common import is_level
 from polishd.plugins.interferometer.map_files import DeliveredMap, FileIdentity, MapRequest, TakenMaps, heights_digest
 from polishd.process.metrology.instrument import require_profile
 from polishd.util.address_claims import Claim, claim, folder_key
@@ -62,11 +63,16 @@ def source_of(surface: SurfaceMap) -> str:
 
 
 def require_plausible(surface: SurfaceMap, rules: MapAcceptanceRules) -> None:
-    """WrongPart where it shows another part; MapError where the profile, or none, cannot be applied to it."""
+    """WrongPart where it shows another part.
+
+    MapError where all its heights are equal, and where the profile, or none, cannot be applied to it.
+    """
     if not surface.part_id and not rules.accept_without_part_id:
         raise WrongPart(f"it does not say whose map it is; the part is {rules.part_id!r}")
     if surface.part_id and surface.part_id != rules.part_id:
         raise WrongPart(f"it shows part {surface.part_id!r}, the part is {rules.part_id!r}")
+    if is_level(surface.height_nm):
+        raise MapError("all its heights are equal: nothing was measured")
     require_profile(surface, rules.instrument)  # the daemon applies it, a refusal is ours
 
 

@@ -244,6 +244,26 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
     return Pitch(x_mm / 2 + y_mm / 2)
 
 
+def is_level(height_nm: FloatArray) -> bool:
+    """Whether all valid heights are equal, to the last bit: no instrument measures that."""
+    return bool(np.nanmin(height_nm) == np.nanmax(height_nm))
+
+
+def oddities(height_nm: FloatArray, lateral: Pitch) -> tuple[str, ...]:
+    """Warnings of heights that no instrument measures: all are equal, or a slope of neighbours is more than 45 deg."""
+    if is_level(height_nm):
+        return (f"all {np.count_nonzero(np.isfinite(height_nm))} heights are equal: nothing was measured",)
+    pitches_mm = lateral.both_mm or (lateral.mm, lateral.mm)
+    for axis, pitch_mm in zip((1, 0), pitches_mm, strict=True):
+        if pitch_mm is None or np.nanmax(height_nm) - np.nanmin(height_nm) <= pitch_mm * 1e6:
+            continue  # no two can be so far apart
+        steps_mm = np.abs(np.diff(height_nm, axis=axis)) / 1e6
+        if (worst_mm := float(np.max(steps_mm, where=np.isfinite(steps_mm), initial=0.0))) > pitch_mm:
+            found = f"neighbours {pitch_mm:.4g} mm apart differ by up to {worst_mm:.4g} mm"
+            return (f"{found}: check the unit of heights, the order of bytes, and how missing data is marked",)
+    return ()
+
+
 def checked(path: Path, height_nm: FloatArray, nm: float = 1.0) -> FloatArray:
     """Return plausible heights; MapError otherwise.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.model.surface import FloatArray, MapStep
-from polishd.plugins.interferometer.formats.common import NOTHING, SAID, HeightUnit, Pitch, sha256_of
+from polishd.plugins.interferometer.formats.common import NOTHING, SAID, HeightUnit, Pitch, oddities, sha256_of
 
 NOT_SAID = "the file does not say that this is a surface"
 
@@ -65,7 +65,7 @@ class Format:
             pitches_mm=lateral.both_mm,
             sha256=content if isinstance(content, str) else sha256_of(content),
             path=path,
-            warnings=(*left.values(), *warnings),
+            warnings=(*left.values(), *oddities(height_nm, lateral), *warnings),
             unsaid=frozenset(unsaid | left.keys()),
             doubts=left,
             reader_version=self.version,

@@ -23,7 +23,6 @@ from polishd.plugins.interferometer.formats.common import (
     content_of,
     height_unit,
     nm_per,
-    parsing,
     pitch,
     require_size,
     scaled,
@@ -114,8 +113,11 @@ MOST_TITLE_BYTES = 256
 # Possessive: a broken line of any length is gone over a few times, not once for each of its characters
 NUMBER = rb"[-+]?(?:\d++(?:[.,]\d*+)?|[.,]\d++)(?:[eE][-+]?\d++)?"
 POINT = re.compile(rb"[ \t]*+" + NUMBER + rb"[ \t]*+(?:[,;][ \t]*+|(?<=[ \t]))" + NUMBER + rb"(?:[ \t,;]|$)")
-TITLE = re.compile(r"\W*+([a-z]++)\W*+(?:_[_\s]*+)?+(?:[\[(/]\s*+)?+([a-z\u00b5\u03bc\u00c5]*+)\W*+", re.IGNORECASE)
-"""A name and its unit, with blanks, underscores, brackets or a slash between: ``x_mm``, ``X [mm]``, ``"Y / mm"``."""
+TITLE = re.compile(r"\W*+([a-z]++)[\s\"'\[\](){}/:.|=_-]*+([a-z\u00b5\u03bc\u00c5]*+)\W*+", re.IGNORECASE)
+"""A name and its unit, with blanks, underscores, brackets or a slash between: ``x_mm``, ``X [mm]``, ``"Y / mm"``.
+
+Nothing else may stand there: ``z [?m]`` was written by a program that lacks the micro sign, and is no metre.
+"""
 NO_DATA = re.compile(
     rb"no[ _]?data|#?n/?a(?=[\s,;]|$)|bad|null|none|-{2,}|\*+|[-+]?1[.,]#[a-z]+\d*|[-+]?nan\(\w+\)", re.IGNORECASE
 )
@@ -126,6 +128,7 @@ DECIMAL_COMMA = re.compile(rb"(?:[ \t]*+[^\s,]*+(?:,[^\s,]++)?+)?(?:[ \t]++[^\s,
 WAVEFRONT = re.compile(r"wave|opd|phase", re.IGNORECASE)
 CAMERA = {"col": "x", "column": "x", "row": "y", "line": "y"}
 """Titles of pixels' numbers: rows count from the top."""
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 CUT = "ends without a line end: if the file is torn inside its last number, that one is wrong"
 ODD_TITLES = "its titles are not x, y and z: its columns are taken in this order"
 
@@ -141,7 +144,9 @@ class PointListHeader(NamedTuple):
 
 
 def sniff(head: bytes, path: Path) -> bool:
-    """True for text of the usual names whose first lines come to two numbers at the start of one."""
+    """True for text of the usual names whose first lines come to two numbers at the start of one, and for UTF-16."""
+    if path.suffix.lower() in SUFFIXES and head.startswith(UTF_16):
+        return True
     if path.suffix.lower() not in SUFFIXES or b"\0" in head or head.startswith((b"Zygo", b"Wyko")):
         return False
     return any(POINT.match(line) for line in head.splitlines()[:MOST_HEADER_LINES])
@@ -151,9 +156,9 @@ def read(path: Path) -> SurfaceMap:
     """Read points on a regular grid, in any order, with holes. MapError where they are on none, or no such list."""
     content = content_of(path)
     sha256, whole = sha256_of(content), content[-1:] == b"\n"
-    header, body = _split(path, content)
+    header, first_line, body = _split(path, content)
     del content
-    table = _table(path, body)[:, header.order]
+    table = _table(path, body, first_line)[:, header.order]
     del body
     found = grid_points(path, table[:, 0], -table[:, 1] if header.from_top else table[:, 1], table[:, 2], in_lines=True)
     lateral = _pitch(path, header, found)
@@ -174,17 +179,19 @@ def read(path: Path) -> SurfaceMap:
     )
 
 
-def _split(path: Path, content: bytes) -> tuple[PointListHeader, bytes]:
-    """The header, and everything from the first point on."""
+def _split(path: Path, content: bytes) -> tuple[PointListHeader, int, bytes]:
+    """The header, and everything from the first point on, with the number of its first line."""
     header, at = PointListHeader(), 3 if content.startswith(b"\xef\xbb\xbf") else 0
+    if content.startswith(UTF_16):
+        raise MapError(f"{path}: is UTF-16 text. Save it as UTF-8")
     if b"\0" in content:
         raise MapError(f"{path}: is no text")
-    for _ in range(MOST_HEADER_LINES):
+    for number in range(1, MOST_HEADER_LINES + 1):
         end = content.find(b"\n", at)
         line = content[at : end if end >= 0 else len(content)].rstrip(b"\r")
         if POINT.match(line):
-            return header, content[at:]
-        text = line.decode("utf-8", "replace") if len(line) <= MOST_TITLE_BYTES else ""
+            return header, number, content[at:]
+        text = _text(line) if len(line) <= MOST_TITLE_BYTES else ""
         titles, units = _header(text), _units(text)
         if units:
             x, y, z = header.order
@@ -197,11 +204,19 @@ def _split(path: Path, content: bytes) -> tuple[PointListHeader, bytes]:
     raise MapError(f"{path}: no line of its first {MOST_HEADER_LINES} is a point: x y z")
 
 
+def _text(line: bytes) -> str:
+    """A line of titles, in UTF-8 or Latin-1; in capitals only, they are as small letters."""
+    try:
+        text = line.decode()
+    except UnicodeDecodeError:
+        text = line.decode("latin-1")
+    return text.lower() if text.isupper() else text
+
+
 def _units(line: str) -> tuple[str, str, str] | None:
     """The units that a line of nothing else is: ``mm mm nm``, ``[mm],[mm],[um]``, ``# units: mm, mm, nm``."""
-    words = (
-        re.sub(r"^\W*(?:units?\W)?", "", line.strip(), flags=re.IGNORECASE).replace(",", " ").replace(";", " ").split()
-    )
+    text = re.sub(r"^[\s#%!\"'\[(]*(?:units?\W)?", "", line.strip(), flags=re.IGNORECASE)
+    words = text.replace(",", " ").replace(";", " ").split()
     found = tuple(word.strip("[]()") for word in words)
     return found if len(found) == 3 and all(nm_per(word) is not None for word in found) else None
 
@@ -235,24 +250,49 @@ def _header(line: str) -> PointListHeader | None:
     return PointListHeader((x, y, z), (units[x], units[y], units[z]), bool(WAVEFRONT.search(names[z])), from_top)
 
 
-def _table(path: Path, body: bytes) -> FloatArray:
+def _table(path: Path, body: bytes, first_line: int) -> FloatArray:
     """(n, 3) numbers, missing heights NaN."""
     require_size(path, 1 + max(body.count(b"\n"), body.count(b"\r")), 1)
     first = body[: body.find(b"\n") if b"\n" in body else len(body)]
-    if b";" in first:  # then a comma is a decimal one
+    body = NO_DATA.sub(b"nan", COMMENT.sub(b"", body))
+    if b";" in first or DECIMAL_COMMA.match(first):  # then a comma is a decimal one
+        if b"," in body and b"." in body:
+            line = first_line + body[: body.index(b",")].count(b"\n")
+            raise MapError(
+                f"{path}:{line}: a number has a comma, and other numbers have a point: it is not clear which is the "
+                "decimal one. Export the map without separators of thousands"
+            )
         body = body.replace(b",", b".").replace(b";", b",")
-    elif DECIMAL_COMMA.match(first):
-        body = body.replace(b",", b".")
     if b"," in first or b";" in first:
         body = re.sub(rb",[ \t]*(?=[\r\n]|$)", b",nan", body).replace(b",", b" ")
-    body = COMMENT.sub(b"", body)
-    body = NO_DATA.sub(b"nan", body)
-    with parsing(path, "numpy"):
-        lines = io.TextIOWrapper(io.BytesIO(body), encoding="latin-1")
+    lines = io.TextIOWrapper(io.BytesIO(body), encoding="latin-1")
+    try:
         table: FloatArray = np.loadtxt(lines, dtype=np.float64, ndmin=2, comments=None)
+    except ValueError as error:
+        raise MapError(_first_wrong(path, body, first_line)) from error
     if table.shape[1] != 3:
         raise MapError(f"{path}: has {table.shape[1]} columns, not x, y and z")
     return table
+
+
+def _first_wrong(path: Path, body: bytes, first_line: int) -> str:
+    """What is wrong with the first line that is no point."""
+    lines = body.splitlines()
+    for number, line in enumerate(lines, start=first_line):
+        words = line.split()
+        if words and not (len(words) == 3 and all(map(_is_number, words))):
+            torn = number == first_line + len(lines) - 1 and not body.endswith((b"\n", b"\r"))
+            what = "the file is torn" if torn else f"{line.strip()[:60].decode('latin-1')!r} is no point x y z"
+            return f"{path}:{number}: {what}. Export the map again"
+    return f"{path}: is no list of points x y z. Export the map again"
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return b"_" not in word
 
 
 def _pitch(path: Path, header: PointListHeader, found: GridResult) -> Pitch:

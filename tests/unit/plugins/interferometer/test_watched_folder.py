@@ -220,6 +220,10 @@ REFUSED = {
         lambda: dat(1, pitch_m=0.0),
         "MapError: bad.dat: its file does not say its pitch, and there is no instrument's profile",
     ),
+    "level": (
+        lambda: dat(1)[:-6400] + bytes([0, 0, 0, 7]) * 1600,
+        "MapError: all its heights are equal: nothing was measured",
+    ),
     "torn": (lambda: dat(1)[:-7], "MapError: has 7227 bytes of 7234: torn"),
     "preallocated": (lambda: dat(1)[:-80] + bytes(80), "MapError: ends in a tail of zeros"),
     "empty": (lambda: b"", "MapError: is empty (known: metropro)"),

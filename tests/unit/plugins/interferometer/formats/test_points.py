@@ -59,12 +59,73 @@ def test_any_order_and_left_out_points_are_the_same_map(tmp_path: Path) -> None:
         ("Report\n\nX/mm\tY/mm\tHeight/nm\n", 1.0, 1.0),
         ("X / mm,Y / mm,Z / nm\n", 1.0, 1.0),
         ("x mm,y mm,height um\n# made by hand, twice, or more\n", 1e3, 1.0),
+        ("X_UM,Y_UM,Z_NM\n", 1.0, 1e-3),
     ],
 )
 def test_units_of_the_header_count(tmp_path: Path, header: str, nm: float, mm: float) -> None:
     surface = points.read(put(tmp_path, points_file(header=header).replace(b"nan", b"nan")))
     assert surface.factors["nm_per_unit"] == nm
     assert surface.pitch_mm == pytest.approx(PITCH_MM * mm)
+
+
+@pytest.mark.parametrize("header", ["x [mm],y [mm],z [\u00b5m]\n", "# units: mm, mm, \u00b5m\n"])
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_the_micro_sign_is_known_in_both_encodings(tmp_path: Path, header: str, encoding: str) -> None:
+    surface = points.read(put(tmp_path, header.encode(encoding) + points_file(header="")))
+    assert (surface.factors["nm_per_unit"], surface.pitch_mm) == (1e3, pytest.approx(PITCH_MM))
+
+
+@pytest.mark.parametrize("unit", [b"?m", b"\x81m", b"\xef\xbf\xbdm", b"~m"])
+def test_a_unit_that_lost_its_micro_sign_is_not_taken_for_metres(tmp_path: Path, unit: bytes) -> None:
+    for header in (b"x [mm],y [mm],z [%b]\n" % unit, b"%b %b %b\n" % (unit, unit, unit)):
+        surface = points.read(put(tmp_path, header + points_file(header="")))
+        assert "unit" in surface.unsaid
+        assert surface.factors["nm_per_unit"] == 1.0
+
+
+@pytest.mark.parametrize("separator", ["; ", " "])
+def test_a_comma_beside_a_point_is_not_taken_for_the_decimal_one(tmp_path: Path, separator: str) -> None:
+    rows = [separator.join((f"{x * 0.5}", f"{y * 0.5}", f"{900 + 10 * y + x:,}")) for y in range(12) for x in range(9)]
+    assert rows[-1].endswith("1,018")
+    path = put(tmp_path, "\n".join(["x_mm;y_mm;z_nm", *rows, ""]).encode(), "map.xyz")
+    with pytest.raises(MapError, match=r"map\.xyz:9[0-9]: a number has a comma, and other numbers have a point"):
+        points.read(path)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (["1,0,2", "1,x,3", "2,0,1"], r"map\.csv:3: '1 x 3' is no point x y z"),
+        (["1,0,2", "1,1", "2,0,1"], r"map\.csv:3: '1 1' is no point x y z"),
+        (["1,0,2", "1d-2,1,3"], r"map\.csv:3: '1d-2 1 3' is no point x y z"),
+    ],
+)
+def test_the_first_line_that_is_no_point_is_named(tmp_path: Path, lines: list[str], said: str) -> None:
+    with pytest.raises(MapError, match=said):
+        points.read(put(tmp_path, "\n".join(["x_mm,y_mm,z_nm", *lines, ""]).encode()))
+
+
+def test_a_torn_last_line_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"map\.csv:3: the file is torn"):
+        points.read(put(tmp_path, b"x_mm,y_mm,z_nm\n1,0,2\n1,"))
+
+
+def test_text_in_utf_16_is_refused_by_its_name(tmp_path: Path) -> None:
+    content = points_file().decode().encode("utf-16")
+    assert points.sniff(content[:100], Path("map.csv"))
+    with pytest.raises(MapError, match=r"map\.csv: is UTF-16 text\. Save it as UTF-8"):
+        points.read(put(tmp_path, content))
+
+
+def test_heights_that_no_instrument_measures_are_warned_of(tmp_path: Path) -> None:
+    def warnings(height_nm: str) -> tuple[str, ...]:
+        rows = [f"{x * 0.5},{y * 0.5},{height_nm if x == 3 else 7.0}" for y in range(5) for x in range(6)]
+        return points.read(put(tmp_path, "\n".join(["x_mm,y_mm,z_nm", *rows, ""]).encode())).warnings
+
+    assert warnings("7.0") == ("all 30 heights are equal: nothing was measured",)
+    assert warnings("499000") == ()
+    [warning] = warnings("2500000")
+    assert warning.startswith("neighbours 0.5 mm apart differ by up to 2.5 mm: check the unit of heights")
 
 
 @pytest.mark.parametrize(
