@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
@@ -20,15 +21,17 @@ from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, NoSuchResource, PolishdError
 from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
+from polishd.web.http.server import BodyRefused, ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
-from polishd.web.map_data import MapQuery
+from polishd.web.map_data import MapQuery, query_number
 from polishd.web.overview import Overview
 from polishd.web.part_history import MOST_FILTER, MOST_PAGE, PAGE, RESULTS, PartFilter, PartHistory
 from polishd.web.queue_view import QueueView
 from polishd.web.run_data import LARGEST_PLAN, MOST_POINTS, NO_CYCLE, RunData
 from polishd.web.run_files import RunFiles
 from polishd.web.watcher import Watcher
+
+log = logging.getLogger(__name__)
 
 # Orders on their way to the daemon, each in a separate thread, so that none waits for another that hangs.
 
@@ -44,10 +47,11 @@ class CommandForwarder:
         self._under_way: dict[tuple[str, str], asyncio.Future[dict[str, Any]]] = {}
 
     async def give(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> dict[str, Any] | None:
-        """The daemon's answer; None: it has not obeyed yet. PolishdError where there is no daemon.
+        """The daemon's answer; None: it has not obeyed yet. PolishdError where it cannot be sent.
 
-        ``joined``: return the answer of an identical order of the same person that is under way: a second press needs
-        no second thread. An order of another person is separate, with its own ``by`` in the journal.
+        ``joined``: return the answer of the same order of the same person that is under way: a second press needs no
+        second thread. The journal then has the reason of the first press. An order of another person is separate, with
+        its own ``by`` in the journal.
         """
         under_way = self._under_way.get(_key(verb, args)) if joined else None
         if under_way is None:
@@ -59,6 +63,7 @@ class CommandForwarder:
             return None
 
     def _sent(self, verb: str, args: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
+        """Send the order in a thread. LinkError where no thread can be started."""
         loop, key = asyncio.get_running_loop(), _key(verb, args)
         answered: asyncio.Future[dict[str, Any]] = loop.create_future()
         answered.add_done_callback(
@@ -81,16 +86,30 @@ class CommandForwarder:
                 answer = client.request(self._state_dir, verb, args=args)
             except PolishdError as error:
                 failure = error
+            except Exception as error:  # an order that never ends would swallow every later one that joins it
+                log.exception("the order %s failed on its way to the daemon", verb)
+                failure = _not_sent(verb, error)
             if not loop.is_closed():
                 loop.call_soon_threadsafe(settle, answer, failure)
 
+        try:
+            threading.Thread(target=ask, name=f"order {verb}", daemon=True).start()
+        except RuntimeError as error:  # the process has too many threads
+            log.exception("the order %s could not be sent", verb)
+            raise _not_sent(verb, error) from error
         self._under_way[key] = answered
-        threading.Thread(target=ask, name=f"order {verb}", daemon=True).start()
         return answered
 
 
+def _not_sent(verb: str, error: Exception) -> LinkError:
+    return LinkError(
+        f"{verb}: this server failed to send it to the daemon ({type(error).__name__}: {error}), which may not have "
+        "received it. Send it again, or use the command line"
+    )
+
+
 def _key(verb: str, args: Mapping[str, Any]) -> tuple[str, str]:
-    """Key of an order: verb, arguments and author."""
+    """Key of an order: verb and author. Other arguments do not count: who presses Hold twice gives one order."""
     return verb, str(args.get("by", ""))
 
 
@@ -127,10 +146,10 @@ class Api:
         user = self.sessions.user_of(token, address)
         if user is None:
             return refusal(401, "the token is wrong: check it, or have a new one made with polishd web --add-user")
-        cookie, session = self.sessions.begin(user)
+        session = self.sessions.begin(user)
         answer = JsonAnswer(_who(session))
         secure = request.url.scheme == "https"
-        answer.set_cookie(COOKIE, cookie, httponly=True, samesite="strict", secure=secure, path="/")
+        answer.set_cookie(COOKIE, session.cookie, httponly=True, samesite="strict", secure=secure, path="/")
         return answer
 
     async def who(self, _request: Request, session: HttpSession) -> Any:
@@ -191,10 +210,8 @@ class Api:
 
     async def plan(self, request: Request, _session: HttpSession) -> Any:
         """Points, dwell, compliance and gamma of a plan."""
-        points = request.query_params.get("points", str(MOST_POINTS))
-        if not (points.isascii() and points.isdecimal() and len(points) < 6 and 2 <= int(points) <= LARGEST_PLAN):
-            raise ConfigError(f"points must be a whole number from 2 to {LARGEST_PLAN}")
-        return await asyncio.to_thread(self._disk.plan, *_cycle(request), int(points))
+        points = query_number(request.query_params, "points", MOST_POINTS, 2, LARGEST_PLAN)
+        return await asyncio.to_thread(self._disk.plan, *_cycle(request), points)
 
     async def certificate(self, request: Request, _session: HttpSession) -> Any:
         """Certificate of a plan's dwell."""
@@ -231,7 +248,8 @@ class Api:
     async def history(self, request: Request, _session: HttpSession) -> Any:
         """A page of the table of all parts."""
         query = request.query_params
-        offset, limit = _count(query, "offset", 0, MOST_NUMBER), _count(query, "limit", PAGE, MOST_PAGE)
+        offset = query_number(query, "offset", 0, 0, MOST_NUMBER)
+        limit = query_number(query, "limit", PAGE, 0, MOST_PAGE)
         return await asyncio.to_thread(self._history.page, _filter(query), query.get("sort", ""), offset, limit)
 
     def read_history(self) -> None:
@@ -252,10 +270,8 @@ class Api:
 
     async def journal(self, request: Request, _session: HttpSession) -> Any:
         """Events and orders."""
-        before = request.query_params.get("before")
-        if before is not None and not (before.isascii() and before.isdecimal() and int(before[:17]) <= MOST_NUMBER):
-            raise ConfigError("before is the number of an event")
-        return {"events": await asyncio.to_thread(self._disk.events, None if before is None else int(before))}
+        before = query_number(request.query_params, "before", None, 0, MOST_NUMBER)
+        return {"events": await asyncio.to_thread(self._disk.events, before)}
 
     async def alarms(self, _request: Request, _session: HttpSession) -> Any:
         """Alarms that are not acknowledged."""
@@ -266,16 +282,25 @@ class Api:
         return self._config.effective()
 
     async def events(self, _request: Request, session: HttpSession) -> Any:
-        """Events, as long as the page is connected."""
+        """Events, as long as the page is connected and its user has access: checked before each message."""
         if (why := self._streams.refusal(session.user.name)) is not None:
             return refusal(*why)
 
         async def messages() -> Any:
             with self.watcher.page() as page:
                 async for message in page:
+                    if not self._is_open(session):
+                        return
                     yield message
 
         return _Stream(messages(), self._streams.one(session.user.name))
+
+    def _is_open(self, session: HttpSession) -> bool:
+        try:
+            return self.sessions.is_open(session)
+        except PolishdError as error:  # the next request names the problem to its user
+            log.warning("an event stream of %s ends: %s", session.user.name, error)
+            return False
 
     # orders
 
@@ -284,7 +309,7 @@ class Api:
         verb = request.url.path.rpartition("/")[2]
         try:
             reason = _reason(await _json(request))
-        except ConfigError:  # any other content: the cell must stand still
+        except (ConfigError, BodyRefused, ClientDisconnect):  # any other content: the cell must stand still
             reason = ""
         return await self._ordered(verb, {"reason": reason, "by": _by(session)}, joined=True)
 
@@ -363,8 +388,8 @@ def _cycle(request: Request) -> tuple[int, int]:
 
 
 def _number(request: Request, name: str) -> int:
-    """A text as the journal can store it."""
-    found = int(request.path_params[name])
+    """Return a number of the path. NoSuchResource where it is larger than the journal's numbers."""
+    found: int = request.path_params[name]
     if found > MOST_NUMBER:
         raise NoSuchResource(NO_CYCLE)
     return found
@@ -377,19 +402,9 @@ def _filter(query: Mapping[str, str]) -> PartFilter:
         raise ConfigError(f"text has {len(text)} characters; at most {MOST_FILTER}")
     if result is not None and result not in RESULTS:
         raise ConfigError(f"result must be one of {', '.join(RESULTS)}")
-    times = [_count(query, key, -1, MOST_NUMBER) for key in ("since", "until")]
-    since_s, until_s = (None if one < 0 else float(one) for one in times)
+    times = [query_number(query, key, None, 0, MOST_NUMBER) for key in ("since", "until")]
+    since_s, until_s = (None if one is None else float(one) for one in times)
     return PartFilter(text, result or "", since_s, until_s)
-
-
-def _count(query: Mapping[str, str], key: str, default: int, most: int) -> int:
-    """Return a whole number of a query; ConfigError where it is none, or too large."""
-    found = query.get(key)
-    if found is None:
-        return default
-    if not (found.isascii() and found.isdecimal() and int(found[:17]) <= most):
-        raise ConfigError(f"{key} must be a whole number, at most {most}")
-    return int(found)
 
 
 async def _json(request: Request) -> dict[str, Any]:

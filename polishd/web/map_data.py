@@ -6,7 +6,7 @@ import base64
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,12 +63,27 @@ class MapQuery:
         encoding = next((one for one in ENCODINGS if one == query.get("encoding", "rows")), None)
         if encoding is None:
             raise ConfigError(f"encoding must be one of {', '.join(ENCODINGS)}")
-        px, largest = query.get("px"), max(ENCODINGS.values())
-        if px is None:
-            return cls(kind, ENCODINGS[encoding], encoding)
-        if not (px.isascii() and px.isdecimal() and len(px) < 5 and LEAST_PX <= int(px) <= largest):
-            raise ConfigError(f"px must be a whole number from {LEAST_PX} to {largest}")
-        return cls(kind, min(int(px), ENCODINGS[encoding]), encoding)
+        px = query_number(query, "px", ENCODINGS[encoding], LEAST_PX, max(ENCODINGS.values()))
+        return cls(kind, min(px, ENCODINGS[encoding]), encoding)
+
+
+@overload
+def query_number(query: Mapping[str, str], key: str, default: int, least: int, most: int) -> int: ...
+
+
+@overload
+def query_number(query: Mapping[str, str], key: str, default: None, least: int, most: int) -> int | None: ...
+
+
+def query_number(query: Mapping[str, str], key: str, default: int | None, least: int, most: int) -> int | None:
+    """Return a whole number of a query; ConfigError where it is none, or outside its limits."""
+    text = query.get(key)
+    if text is None:
+        return default
+    digits = text.lstrip("0") or text[-1:]  # int() takes at most 4300 digits
+    if not (text.isascii() and text.isdecimal() and len(digits) <= len(str(most)) and least <= int(digits) <= most):
+        raise ConfigError(f"{key} must be a whole number from {least} to {most}")
+    return int(digits)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.convertors import Convertor, register_url_convertor
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route as Path
@@ -30,12 +31,27 @@ from polishd.web.part_history import MOST_PAGE, RESULTS, SORTS
 from polishd.web.run_data import LARGEST_PLAN
 from polishd.web.watcher import polling_daemon
 
+
+class _NumberConvertor(Convertor[int]):
+    """Numbers in a path: as ``int``, without numbers of more digits than the journal's, which ``int()`` may refuse."""
+
+    regex = f"[0-9]{{1,{len(str(MOST_NUMBER))}}}"
+
+    def convert(self, value: str) -> int:
+        return int(value)
+
+    def to_string(self, value: int) -> str:
+        return str(value)
+
+
+register_url_convertor("number", _NumberConvertor())
+
 # The table of routes: handler and required role.
 
 Handler = Callable[[Api, Request, HttpSession], Awaitable[Any]]
 
-AT_CYCLE = "/api/jobs/{job:int}/cycles/{cycle:int}"
-AT_FILE = "/api/jobs/{job:int}/files/{name}"
+AT_CYCLE = "/api/jobs/{job:number}/cycles/{cycle:number}"
+AT_FILE = "/api/jobs/{job:number}/files/{name}"
 AT_MAP = AT_CYCLE + "/map/{kind}"
 
 
@@ -68,9 +84,11 @@ ROUTES: tuple[ApiRoute, ...] = (
     ApiRoute("GET", "/api/alarms", WATCH, "alarms that are not acknowledged, the oldest first", Api.alarms),
     ApiRoute("GET", "/api/queue", WATCH, "the jobs of the queue", Api.queue),
     ApiRoute("GET", "/api/jobs", WATCH, "all jobs of the journal", Api.jobs),
-    ApiRoute("GET", "/api/jobs/{job:int}", WATCH, "one part: result, passes, approvals, files", Api.job),
+    ApiRoute("GET", "/api/jobs/{job:number}", WATCH, "one part: result, passes, approvals, files", Api.job),
     ApiRoute("GET", AT_FILE, WATCH, "a picture, the report or a certificate of its run folder", Api.file),
-    ApiRoute("GET", "/api/jobs/{job:int}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles),
+    ApiRoute(
+        "GET", "/api/jobs/{job:number}/cycles", WATCH, "measurements of a job, and the pass after each", Api.cycles
+    ),
     ApiRoute("GET", AT_MAP, WATCH, f"a map as an array: {', '.join(f'`{kind}`' for kind in MAP_KINDS)}", Api.map),
     ApiRoute("GET", AT_CYCLE + "/psd", WATCH, "power over spatial frequency of the measured map", Api.psd),
     ApiRoute("GET", AT_CYCLE + "/plan", WATCH, "the path, its dwell, compliance and gamma", Api.plan),
@@ -196,11 +214,11 @@ def document() -> dict[str, Any]:
 
 def open_path(path: str) -> str:
     """A route in OpenAPI syntax."""
-    return re.sub(r":int}", "}", path)
+    return re.sub(r":number}", "}", path)
 
 
 def _operation(route: ApiRoute) -> dict[str, Any]:
-    names = re.findall(r"{(\w+)(:int)?}", route.path)
+    names = re.findall(r"{(\w+)(:number)?}", route.path)
     found: dict[str, Any] = {
         "summary": route.what,
         "description": f"Needs the role {route.role.value}, or more.",

@@ -16,7 +16,7 @@ import h11
 import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
@@ -54,9 +54,12 @@ class BoundedProtocol(H11Protocol):
             self._await_head()
 
     def data_received(self, data: bytes) -> None:
-        """End the time limit after the head of a request: the guard limits its body."""
+        """End the time limit after the head of a request: the guard limits its body.
+
+        The rest of a body after the answer, which no handler reads, has the time limit of a head.
+        """
         super().data_received(data)
-        if self.conn.their_state is not h11.IDLE:
+        if self.conn.their_state is not h11.IDLE and not self._has_answered():
             self._rest()
         elif self._head is None:
             self._await_head()
@@ -65,6 +68,10 @@ class BoundedProtocol(H11Protocol):
         """End the time limit."""
         self._rest()
         super().connection_lost(exc)
+
+    def _has_answered(self) -> bool:
+        cycle: RequestResponseCycle | None = self.cycle  # None before a first request, despite its type
+        return cycle is None or cycle.response_complete
 
     def _await_head(self) -> None:
         self._head = self.loop.call_later(HEAD_S, self._too_slow)
@@ -76,8 +83,7 @@ class BoundedProtocol(H11Protocol):
 
     def _too_slow(self) -> None:
         self._head = None
-        cycle: RequestResponseCycle | None = self.cycle  # None before a first request, despite its type
-        if not self.transport.is_closing() and (cycle is None or cycle.response_complete):
+        if not self.transport.is_closing() and self._has_answered():
             self.transport.abort()
 
 
@@ -85,7 +91,9 @@ class BoundedProtocol(H11Protocol):
 
 BODY_BYTES = 1 << 16
 BODY_S = 5.0
-"""Time limit for a whole body."""
+"""Time limit for a body of a few bytes."""
+LEAST_BYTES_PER_S = 1 << 16
+"""Rate at which the time limit of a body grows while it arrives: 16 MiB may take 261 s, and silence ends after 5 s."""
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -100,18 +108,25 @@ CACHING = {"cache-control": "no-store"}
 
 
 def hosts_of(web: WebSection) -> set[str]:
-    """Valid host names, without ports."""
-    return {"localhost", "127.0.0.1", "::1", web.address.lower(), *(host.lower() for host in web.hosts)}
+    """Valid host names, without ports, in the form of ``host_name``."""
+    return {host_name(one) for one in ("localhost", "127.0.0.1", "::1", web.address, *web.hosts)}
+
+
+class BodyRefused(HTTPException):
+    """A body is too large or too slow. It is raised where a handler reads the body."""
 
 
 class RequestGuard:
-    """An ASGI application around another one."""
+    """An ASGI application around another one.
+
+    A handler reads the body after it has checked the session: without a session, and for GET, no body is read.
+    """
 
     def __init__(self, app: ASGIApp, hosts: Collection[str], most_bytes: int = BODY_BYTES) -> None:
         self._app, self._hosts, self._most_bytes = app, hosts, most_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse the request, or pass it on with its whole body."""
+        """Refuse the request, or pass it on with its limited body."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -129,32 +144,36 @@ class RequestGuard:
         if host_name(headers.get("host", "")) not in self._hosts:
             await refusal(421, "this is not one of this server's names; see web.hosts")(scope, receive, with_headers)
             return
-        body = await _taken(scope["method"], headers, receive, self._most_bytes)
-        if isinstance(body, JSONResponse):
-            await body(scope, receive, with_headers)
-            return
-        handed = False
-
-        async def whole() -> Message:
-            nonlocal handed
-            if handed:
-                return await receive()
-            handed = True
-            return {"type": "http.request", "body": body, "more_body": False}
-
-        await self._app(scope, whole, with_headers)
+        await self._app(scope, _limited(receive, headers, self._most_bytes), with_headers)
 
 
-async def _taken(method: str, headers: Headers, receive: Receive, most_bytes: int) -> bytes | JSONResponse:
-    """Read the whole body, or refuse it."""
-    if method in {"GET", "HEAD"}:
-        return b""
-    try:
-        return await _body(headers, receive, most_bytes)
-    except TimeoutError:
-        return refusal(408, f"the body did not come within {BODY_S:g} s")
-    except ValueError as error:
-        return refusal(413, str(error))
+def _limited(receive: Receive, headers: Headers, most_bytes: int) -> Receive:
+    """Return ``receive`` with limits of size and time until the body has arrived. It raises BodyRefused."""
+    loop = asyncio.get_running_loop()
+    began_s, size, is_whole = loop.time(), 0, False
+    length = headers.get("content-length", "0")
+    announced = int(length) if length.isdecimal() and len(length) < 20 else most_bytes + 1
+
+    async def limited() -> Message:
+        nonlocal size, is_whole
+        if is_whole:  # what follows is the end of the connection
+            return await receive()
+        if max(announced, size) > most_bytes:
+            raise BodyRefused(413, f"the body is more than {most_bytes} bytes")
+        try:
+            async with asyncio.timeout_at(began_s + BODY_S + size / LEAST_BYTES_PER_S):
+                message = await receive()
+        except TimeoutError:
+            raise BodyRefused(
+                408, f"of the body came {size} bytes in {loop.time() - began_s:.0f} s: too slow"
+            ) from None
+        size += len(message.get("body", b""))
+        is_whole = not message.get("more_body", False)
+        if size > most_bytes:
+            raise BodyRefused(413, f"the body is more than {most_bytes} bytes")
+        return message
+
+    return limited
 
 
 class JsonAnswer(JSONResponse):
@@ -181,23 +200,6 @@ def host_name(value: str) -> str:
         return str(ipaddress.ip_address(name))
     except ValueError:
         return name
-
-
-async def _body(headers: Headers, receive: Receive, most_bytes: int) -> bytes:
-    length = headers.get("content-length", "0")
-    if not length.isdecimal() or int(length) > most_bytes:
-        raise ValueError(f"the body is more than {most_bytes} bytes")
-    body, more = b"", True
-    async with asyncio.timeout(BODY_S):
-        while more:
-            message = await receive()
-            if message["type"] == "http.disconnect":
-                return b""
-            body += message.get("body", b"")
-            more = message.get("more_body", False)
-            if len(body) > most_bytes:
-                raise ValueError(f"the body is more than {most_bytes} bytes")
-    return body
 
 
 log = logging.getLogger(__name__)
@@ -268,13 +270,24 @@ async def _no_such(_request: Request, error: Exception) -> Response:
     return said
 
 
+async def _body_refused(_request: Request, error: Exception) -> Response:
+    return (
+        refusal(error.status_code, error.detail) if isinstance(error, BodyRefused) else refusal(400, "the body ended")
+    )
+
+
 async def _fault(request: Request, error: Exception) -> Response:
     """Log the fault; the answer reveals nothing about the source."""
     log.error("%s %s failed: %s", request.method, request.url.path, type(error).__name__)
     return refusal(500, "a fault of polishd; its log says more")
 
 
-HANDLERS: Mapping[Any, Any] = {HTTPException: _no_such, Exception: _fault}
+HANDLERS: Mapping[Any, Any] = {
+    BodyRefused: _body_refused,
+    ClientDisconnect: _body_refused,  # its answer is not read
+    HTTPException: _no_such,
+    Exception: _fault,
+}
 """Exception handlers of a Starlette application."""
 
 

@@ -8,7 +8,7 @@ import json
 import re
 import secrets
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -44,6 +44,7 @@ class User:
 
     name: str
     role: Role
+    token_sha256: str = field(default="", repr=False, compare=False)
 
 
 def users_path(config: CellConfig) -> Path:
@@ -52,10 +53,12 @@ def users_path(config: CellConfig) -> Path:
 
 
 class UserFile:
-    """Users of one file, which is read at each request, so that a removed user has no access at once."""
+    """Users of one file, which is looked at at each request, so that a removed user has no access at once."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._known: tuple[tuple[int, ...], Mapping[str, Mapping[str, str]]] | None = None
+        """Signature and users of the file as it was last read: each message of an event stream asks for them."""
 
     def __bool__(self) -> bool:
         """Whether there are users."""
@@ -70,13 +73,13 @@ class UserFile:
         digest, found = _digest(token[:MOST_CHARACTERS]), None
         for name, facts in self._read().items():
             if hmac.compare_digest(digest, facts["token_sha256"]):
-                found = User(name, Role(facts["role"]))
+                found = User(name, Role(facts["role"]), digest)
         return found
 
-    def still(self, user: User) -> bool:
-        """Whether this user has this role."""
+    def is_valid(self, user: User) -> bool:
+        """Return whether this user still has this role and this token: a new token ends sessions of the older one."""
         facts = self._read().get(user.name)
-        return facts is not None and facts["role"] == user.role
+        return facts is not None and (facts["role"], facts["token_sha256"]) == (user.role, user.token_sha256)
 
     def add(self, name: str, role: Role) -> str:
         """Make a new token for a name, in place of an older one. ConfigError for an invalid name."""
@@ -96,9 +99,17 @@ class UserFile:
 
     def _read(self) -> Mapping[str, Mapping[str, str]]:
         try:
-            require_private(self.path)
-            found = json.loads(self.path.read_text(encoding="utf-8"))
-            return {str(name): {"role": Role(one["role"]).value, **one} for name, one in found.items()}
+            stat = self.path.stat()
+            signature = (stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_mode, stat.st_uid)
+            if self._known is None or self._known[0] != signature:
+                require_private(self.path)
+                found = json.loads(self.path.read_text(encoding="utf-8"))
+                users = {
+                    str(name): {"role": Role(one["role"]).value, "token_sha256": str(one["token_sha256"])}
+                    for name, one in found.items()
+                }
+                self._known = signature, users
+            return self._known[1]
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -135,6 +146,8 @@ class HttpSession:
     user: User
     csrf: str = ""
     """Token that a page must send with each change; empty for a program, which another site cannot use."""
+    cookie: str = field(default="", repr=False)
+    """Value of the browser's cookie; empty for a program."""
 
 
 class SessionStore:
@@ -151,9 +164,11 @@ class SessionStore:
             user = self.user_of(bearer[7:].strip(), address_of(request), exempt=exempt)
             return None if user is None else HttpSession(user)
         session = self._of_cookie.get(request.cookies.get(COOKIE, ""))
-        if session is None or not self._users.still(session.user):
-            return None
-        return session
+        return session if session is not None and self.is_open(session) else None
+
+    def is_open(self, session: HttpSession) -> bool:
+        """Return whether a session is still valid: it was not signed out, and its user has the same role and token."""
+        return (not session.cookie or session.cookie in self._of_cookie) and self._users.is_valid(session.user)
 
     def user_of(self, token: str, address: str, *, exempt: bool = False) -> User | None:
         """Return whose token it is; a wrong one counts against the user that it names, at the address it came from."""
@@ -180,13 +195,13 @@ class SessionStore:
             return self.lockout.locked(address, named_by(token))
         return not self.lockout.knows(address, user.name) and self.lockout.locked(address, user.name)
 
-    def begin(self, user: User) -> tuple[str, HttpSession]:
-        """Begin a session; return it with its cookie's value."""
-        cookie, session = secrets.token_urlsafe(32), HttpSession(user, secrets.token_urlsafe(32))
-        self._of_cookie[cookie] = session
+    def begin(self, user: User) -> HttpSession:
+        """Begin a session of a browser, and return it."""
+        session = HttpSession(user, csrf=secrets.token_urlsafe(32), cookie=secrets.token_urlsafe(32))
+        self._of_cookie[session.cookie] = session
         while len(self._of_cookie) > MOST_SESSIONS:
             del self._of_cookie[next(iter(self._of_cookie))]
-        return cookie, session
+        return session
 
     def end(self, request: Request) -> None:
         """End the session of this browser."""

@@ -151,7 +151,11 @@ function watch() {
   stream.addEventListener("happened", (event) => {
     if (JSON.parse(event.data).name !== "pass_progressed") refresh();
   });
-  stream.addEventListener("error", () => { known.heard = -Infinity; show(); });
+  stream.addEventListener("error", () => {
+    known.heard = -Infinity;
+    show();
+    got("/api/state"); // signs out where the session has ended
+  });
   stream.addEventListener("open", refresh);
 }
 // A page that is left, or kept by the browser for "back", must hold no connection: there are six for all of its pages.

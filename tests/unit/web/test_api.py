@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import threading
@@ -9,13 +10,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from starlette.requests import Request
 
 from docs.reference.code_tables import OPEN_ENDPOINTS
+from polishd.commissioning.rehearsal.simulated_cell import write_demo
+from polishd.config.cell import load_config
 from polishd.daemon.journal.journal import Journal
+from polishd.model.errors import LinkError
 from polishd.model.events import AlarmAcknowledged, CellHeld
 from polishd.web import api, run_data
 from polishd.web.http import server
-from polishd.web.http.users import Role
+from polishd.web.http.users import COOKIE, Role, SessionStore, UserFile, users_path
 from polishd.web.routes import ROUTES, ApiRoute, document, open_path
 from tests.patience import SOON_S
 from tests.unit.web.served import Served, served
@@ -31,7 +36,7 @@ def web(tmp_path: Path) -> Iterator[Served]:
 
 def path_of(route: ApiRoute) -> str:
     """With numbers that do not exist."""
-    found = re.sub(r"{\w+:int}", "9", route.path).replace("{kind}", "measured")
+    found = re.sub(r"{\w+:number}", "9", route.path).replace("{kind}", "measured")
     return found.replace("{name}", "report.html").replace("{program}", "ab" * 32)
 
 
@@ -145,6 +150,79 @@ async def test_a_hold_that_is_under_way_is_joined_by_its_user_and_by_no_other(
     monkeypatch.setattr(api, "OBEYED_S", SOON_S)
     assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
     assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
+
+
+async def test_an_order_that_fails_on_its_way_ends_and_the_next_one_is_sent(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A hold that was never sent must not take every later hold of its user with it."""
+    answers: list[Exception | dict[str, bool]] = [OSError(24, "too many open files"), {"ok": True}]
+
+    def request(_state_dir: Path, _verb: str, *, args: dict[str, str]) -> dict[str, bool]:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(api.client, "request", request)
+    monkeypatch.setattr(api, "OBEYED_S", SOON_S)
+    ours, by = api.CommandForwarder(tmp_path), {"by": "anna (web)"}
+    with pytest.raises(LinkError, match=r"hold: .*too many open files.*Send it again"):
+        await ours.give("hold", by, joined=True)
+    with monkeypatch.context() as full:
+        full.setattr(api.threading.Thread, "start", lambda _: (_ for _ in ()).throw(RuntimeError("can't start")))
+        with pytest.raises(LinkError, match="can't start"):
+            await ours.give("hold", by, joined=True)
+    assert await ours.give("hold", by, joined=True) == {"ok": True}
+
+
+@pytest.mark.parametrize(
+    ("path", "code"),
+    [
+        (f"journal?before={'0' * 17}{'9' * 20}", 400),
+        (f"journal?before={'9' * 5000}", 400),
+        (f"journal?before={'0' * 5000}1", 200),
+        (f"history?offset={'0' * 17}{'9' * 20}", 400),
+        (f"history?since={'9' * 5000}", 400),
+        (f"jobs/{'9' * 5000}/cycles", 404),
+        (f"jobs/{'0' * 17}{'9' * 20}", 404),
+    ],
+    ids=lambda one: str(one)[:24],
+)
+def test_a_number_of_any_length_is_no_fault(web: Served, path: str, code: int) -> None:
+    assert web.ask("GET", f"/api/{path}").status_code == code
+
+
+@pytest.mark.parametrize("change", ["removed", "new token", "signed out"])
+async def test_an_event_stream_ends_with_the_access_of_its_user(tmp_path: Path, change: str) -> None:
+    config = load_config(write_demo(tmp_path / "demo", None, 2.0, 4, None).cell)
+    users = UserFile(users_path(config))
+    users.add("anna", Role.WATCH)
+    sessions = SessionStore(users)
+    token = users.add("anna", Role.WATCH)
+    user = users.of_token(token)
+    assert user is not None
+    session = sessions.begin(user)
+    ours = api.Api(config, sessions)
+    headers = [(b"cookie", f"{COOKIE}={session.cookie}".encode())]
+    request = Request({"type": "http", "method": "GET", "path": "/api/events", "headers": headers})
+    assert sessions.of(request) is session
+    stream = await ours.events(request, session)
+    async with asyncio.timeout(SOON_S):
+        assert "event: state" in await anext(stream.body_iterator)
+        ours.watcher._happened({"name": "measured", "data": {}})
+        assert "event: happened" in await anext(stream.body_iterator)
+        if change == "removed":
+            users.remove("anna")
+        elif change == "new token":
+            users.add("anna", Role.WATCH)
+        else:
+            sessions.end(request)
+        assert sessions.of(request) is None
+        ours.watcher._happened({"name": "measured", "data": {}})
+        with pytest.raises(StopAsyncIteration):
+            await anext(stream.body_iterator)
+    assert ours.watcher.pages == 0
 
 
 def test_what_the_daemon_refuses_is_said_in_its_words(web: Served) -> None:

@@ -34,7 +34,7 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 @st.composite
 def asked(draw: st.DrawFn) -> tuple[ApiRoute, str, Role | None, dict[str, Any]]:
     route = draw(st.sampled_from([one for one in ROUTES if one.path != "/api/events"]))
-    path = re.sub(r"{\w+(:int)?}", lambda _: draw(PIECES), route.path)
+    path = re.sub(r"{\w+(:number)?}", lambda _: draw(PIECES), route.path)
     if draw(st.booleans()):
         path += f"?{draw(st.sampled_from(['before', 'px', 'encoding', 'points']))}={draw(PIECES)}"
     body: dict[str, Any] = {}

@@ -81,7 +81,7 @@ def test_filter_order_and_pages(web: Served, query: str, expected: list[str]) ->
     [
         ("sort=color", "sort is 'color'. Use one of number, part, date"),
         ("result=good", "result must be one of accepted, rejected"),
-        ("limit=201", "limit must be a whole number, at most 200"),
+        ("limit=201", "limit must be a whole number from 0 to 200"),
         ("offset=-1", "offset must be a whole number"),
         ("since=now", "since must be a whole number"),
         (f"text={'x' * 201}", "text has 201 characters; at most 200"),

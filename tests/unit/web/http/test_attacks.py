@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import socket
 import subprocess
@@ -10,6 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+from starlette.routing import Route
+from starlette.types import Message
 
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
@@ -202,6 +208,98 @@ def test_a_user_who_was_removed_is_out_at_once(web: Served) -> None:
     UserFile(users_path(web.config)).remove("operate-person")
     assert web.client.get("/api/state").status_code == 401
     assert web.ask("GET", "/api/state", Role.OPERATE).status_code == 401
+
+
+def test_a_new_token_ends_the_sessions_of_the_older_one(web: Served) -> None:
+    web.sign_in(Role.OPERATE)
+    assert web.client.get("/api/state").status_code == 200
+    UserFile(users_path(web.config)).add("operate-person", Role.OPERATE)
+    assert web.client.get("/api/state").status_code == 401
+
+
+@pytest.mark.parametrize(
+    ("address", "hosts", "asked"),
+    [
+        ("::0:1", (), "[::1]:8750"),
+        ("127.0.0.1", ("FE80::0001",), "[fe80::1]"),
+        ("127.0.0.1", ("Shop.example:1",), "shop.example"),
+    ],
+)
+def test_a_name_is_known_in_each_of_its_forms(address: str, hosts: tuple[str, ...], asked: str) -> None:
+    names = server.hosts_of(WebSection(address=address, hosts=hosts))
+    assert server.host_name(asked) in names
+    assert {"localhost", "127.0.0.1", "::1"} <= names
+
+
+class Sender:
+    """Body of a request that arrives in pieces and never ends."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        self.pieces, self.read = list(pieces), 0
+
+    async def __call__(self) -> Message:
+        self.read += 1
+        if not self.pieces:
+            await asyncio.Event().wait()  # silence
+        return {"type": "http.request", "body": self.pieces.pop(0), "more_body": True}
+
+
+async def answer_of(sender: Sender, method: str, path: str, **headers: str) -> int:
+    """Return the status of the answer to a request with that body; the application reads bodies of POST /read."""
+
+    async def read(request: Request) -> JSONResponse:
+        return JSONResponse(len(await request.body()))
+
+    async def ignored(_request: Request) -> JSONResponse:
+        return JSONResponse({})
+
+    routes = [Route("/read", read, methods=["POST"]), Route("/", ignored, methods=["GET", "POST"])]
+    guard = server.RequestGuard(Starlette(routes=routes, exception_handlers=server.HANDLERS), {"localhost"}, 1 << 20)
+    found: list[int] = []
+
+    async def send(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            found.append(message["status"])
+
+    raw = [
+        (name.replace("_", "-").encode(), value.encode()) for name, value in {"host": "localhost", **headers}.items()
+    ]
+    scope = {"type": "http", "method": method, "path": path, "query_string": b"", "headers": raw}
+    await guard(scope, sender, send)
+    (status,) = found
+    return status
+
+
+async def test_a_body_is_read_by_its_handler_alone() -> None:
+    """So a request without a valid token, or a GET, makes the server read nothing."""
+    for method in ("GET", "POST"):
+        sender = Sender(b"x" * 1000)
+        assert await answer_of(sender, method, "/") == 200
+        assert sender.read == 0
+
+
+async def test_a_body_beyond_its_limit_is_not_read_further() -> None:
+    sender = Sender(*[b"x" * (1 << 19)] * 9)
+    assert await answer_of(sender, "POST", "/read") == 413
+    assert sender.read == 3
+    announced = Sender(b"x")
+    assert await answer_of(announced, "POST", "/read", content_length=str((1 << 20) + 1)) == 413
+    assert announced.read == 0
+
+
+async def test_the_time_of_a_body_grows_with_what_has_arrived(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report of 16 MiB on a slow line is not refused for its size; silence is."""
+    monkeypatch.setattr(server, "BODY_S", 0.0)
+    monkeypatch.setattr(server, "LEAST_BYTES_PER_S", 1e9)
+    assert await answer_of(Sender(), "POST", "/read") == 408
+    ends = []
+    monkeypatch.setattr(server.asyncio, "timeout_at", lambda at_s: ends.append(at_s) or asyncio.timeout(None))
+    monkeypatch.setattr(server, "LEAST_BYTES_PER_S", 100.0)
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.01):
+            await answer_of(Sender(b"x" * 500, b"y" * 500), "POST", "/read")
+    first, second, third = ends
+    assert (second - first, third - first) == (pytest.approx(5.0), pytest.approx(10.0))
 
 
 def test_no_secret_is_in_a_file_a_log_or_an_answer(web: Served, caplog: pytest.LogCaptureFixture) -> None:

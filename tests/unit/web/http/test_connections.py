@@ -99,3 +99,28 @@ async def test_one_address_holds_so_many_open_and_no_more(port: int, monkeypatch
     async with asyncio.timeout(SOON_S):  # it may not have noticed yet that they are gone
         while not await tried(port):
             pass
+
+
+async def test_the_rest_of_a_body_that_was_answered_before_is_limited(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The application does not read the body of a GET; a drop of it now and then must not hold the connection open."""
+    monkeypatch.setattr(connections, "HEAD_S", 0.2)
+    async with connected(port) as (reader, writer):
+        writer.write(b"GET / HTTP/1.1\r\nhost: a\r\ncontent-length: 1000000\r\n\r\n")
+        async with asyncio.timeout(SOON_S):
+            assert b"200" in await reader.readuntil(b"ok")
+            ended = asyncio.create_task(closed(reader))
+            while not ended.done():
+                writer.write(b"x")
+                await asyncio.wait([ended], timeout=0.02)
+        assert ended.result()
+
+
+async def test_a_body_that_ends_after_its_answer_leaves_the_connection_usable(port: int) -> None:
+    async with connected(port) as (reader, writer):
+        writer.write(b"POST / HTTP/1.1\r\nhost: a\r\ncontent-length: 3\r\n\r\n")
+        async with asyncio.timeout(SOON_S):
+            assert b"200" in await reader.readuntil(b"ok")
+        writer.write(b"xyz")
+        assert await answered(reader, writer)
