@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from polishd.model.errors import ConfigError, LinkError
 from polishd.util.files import make_folder
@@ -130,16 +130,20 @@ class Database:
                 self._connection.execute("BEGIN IMMEDIATE")
                 try:
                     yield DatabaseTransaction(self._connection)
+                    self._connection.execute("COMMIT")
                 except BaseException:
-                    self._connection.execute("ROLLBACK")
+                    if self._connection.in_transaction:  # SQLite rolls back without being asked, e.g. on a full disk
+                        self._connection.execute("ROLLBACK")
                     raise
-                self._connection.execute("COMMIT")
             except sqlite3.IntegrityError as error:
                 raise ConfigError(
                     f"that does not go with what the shop has: {error}; nothing of it was taken"
                 ) from error
             except sqlite3.Error as error:
                 raise LinkError(f"the shop's database: {error}; nothing of this was taken; look at its disk") from error
+
+
+Conflict = Literal["ABORT", "IGNORE", "REPLACE"]
 
 
 class DatabaseTransaction:
@@ -162,15 +166,16 @@ class DatabaseTransaction:
         """Write, and return the number of changed rows."""
         return self._connection.execute(sql, values).rowcount
 
-    def insert(self, how: str, values: Mapping[str, Any]) -> None:
-        """Insert one row; ``how``: ``INSERT INTO table``, or a variant of it."""
+    def insert(self, table: str, values: Mapping[str, Any], *, conflict: Conflict = "ABORT") -> None:
+        """Insert one row; ``conflict``: SQLite's action where a row has the same key (ABORT: ConfigError)."""
         marks = ", ".join("?" * len(values))
-        self.run(f"{how} ({', '.join(values)}) VALUES ({marks})", *values.values())
+        sql = f"INSERT OR {conflict} INTO {table} ({', '.join(values)}) VALUES ({marks})"  # noqa: S608 - our own words
+        self.run(sql, *values.values())
 
     def word(self, who: str, what: str, job: str, cell: str = "", why: str = "") -> None:
         """Record a decision of the shop and its author."""
         row = {"at": time.time(), "who": who, "what": what, "job": job, "cell": cell, "why": why}
-        self.insert("INSERT INTO word", row)
+        self.insert("word", row)
 
 
 # Copies of the cells' journals: each event once by its number, each job, map and pass by its key.
@@ -221,7 +226,7 @@ def take(sql: DatabaseTransaction, cell: str, report: CellReport) -> int:
     contradicts the stored events.
     """
     now = {"name": cell, "heard": time.time(), "now": json.dumps(dict(report.now))}
-    sql.insert("INSERT OR REPLACE INTO cell", now)
+    sql.insert("cell", now, conflict="REPLACE")
     key = {"cell": cell, "journal": report.journal}
     known = sql.row("SELECT upto, tail FROM feed WHERE cell = ? AND journal = ?", *key.values())
     upto, tail = (0, "") if known is None else (known["upto"], known["tail"])
@@ -240,9 +245,9 @@ def take(sql: DatabaseTransaction, cell: str, report: CellReport) -> int:
     if numbers != sorted(set(numbers)) or not all(report.first <= number <= report.last for number in numbers):
         raise ValueError("events out of their order")
     for values in report.events:
-        sql.insert("INSERT INTO event", {**key, **dict(zip(EVENT, values, strict=True))})
+        sql.insert("event", {**key, **dict(zip(EVENT, values, strict=True))})
     row = {**key, "upto": report.last, "tail": report.tail}
-    sql.insert("INSERT OR REPLACE INTO feed", row)
+    sql.insert("feed", row, conflict="REPLACE")
     return report.last
 
 
@@ -259,4 +264,4 @@ def _rows(
     sql: DatabaseTransaction, table: str, columns: Sequence[str], key: Mapping[str, Any], rows: Sequence[Sequence[Any]]
 ) -> None:
     for values in rows:
-        sql.insert(f"INSERT OR REPLACE INTO {table}", {**key, **dict(zip(columns, values, strict=True))})
+        sql.insert(table, {**key, **dict(zip(columns, values, strict=True))}, conflict="REPLACE")

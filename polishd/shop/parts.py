@@ -22,6 +22,7 @@ from polishd.config.renamed_keys import present_text
 from polishd.config.toml_loader import join_words
 from polishd.model.errors import ConfigError
 from polishd.shop.database import DatabaseTransaction
+from polishd.util.files import read_input
 
 WAITING, UNDER_WAY, REMOVED, UNKNOWN = "waiting", "under way", "removed", "unknown"
 """States of a claim in a cell's report, besides the verdict on its part; unknown: its queue never had it."""
@@ -66,9 +67,9 @@ def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Se
                 "once at a time: end that one first"
             )
         for name, content in part.files.items():
-            sql.insert("INSERT OR IGNORE INTO file", {"sha256": digest[name], "content": content})
+            sql.insert("file", {"sha256": digest[name], "content": content}, conflict="IGNORE")
         row = {"job": part.job, "part_id": part.part_id, "content": part.content, "files": json.dumps(dict(digest))}
-        sql.insert("INSERT INTO part", {**row, "added": time.time(), "by": by})
+        sql.insert("part", {**row, "added": time.time(), "by": by})
         sql.word(by, "added", part.job)
 
 
@@ -92,7 +93,7 @@ def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
     )
     if part is None:
         return {"part": None}
-    sql.insert("INSERT INTO claim", {"request": request, "part": part["id"], "cell": cell, "given": time.time()})
+    sql.insert("claim", {"request": request, "part": part["id"], "cell": cell, "given": time.time()})
     sql.run("UPDATE part SET state = 'claimed' WHERE id = ?", part["id"])
     sql.word(cell, "claimed", part["job"], cell)
     return _given(sql, request, part["id"])
@@ -206,7 +207,7 @@ def _free(sql: DatabaseTransaction, request: str, how: str, who: str, why: str =
     if how != REFUSED:  # exclude the last cell only, and all cells that cannot work it
         sql.run("DELETE FROM not_for WHERE part = ? AND why NOT LIKE ?", found["part"], f"{REFUSED}%")
     row = {"part": found["part"], "cell": found["cell"], "why": f"{how}: {why}" if why else how}
-    sql.insert("INSERT OR REPLACE INTO not_for", row)
+    sql.insert("not_for", row, conflict="REPLACE")
     sql.word(who, how, found["job"], found["cell"], why)
 
 
@@ -248,10 +249,8 @@ def read_part(path: Path) -> NewPart:
     files: dict[str, bytes] = {}
     for key, named in file.named(fragment):
         several = isinstance(named, list)
-        flat = [_taken(files, Path(one), f"{path}: {key}") for one in (named if several else [named])]
+        flat = [_read_file(files, Path(one), f"{path}: {key}") for one in (named if several else [named])]
         _put(document, key.split("."), flat if several else flat[0])
-    if sum(map(len, files.values())) > MOST_BYTES:
-        raise ConfigError(f"{path}: its files are more than {MOST_BYTES >> 20} MiB; let the cells' own files name them")
     return NewPart(str(fragment["job"]["id"]), str(fragment["part"]["id"]), tomlkit.dumps(document), files)
 
 
@@ -272,16 +271,20 @@ def digests(part: NewPart) -> dict[str, str]:
     return {name: hashlib.sha256(content).hexdigest() for name, content in part.files.items()}
 
 
-def _taken(files: dict[str, bytes], path: Path, where: str) -> str:
-    """Read a file and return its name, unique among the others."""
+def _read_file(files: dict[str, bytes], path: Path, where: str) -> str:
+    """Read a file and return its name, unique among the others. ConfigError where all files exceed ``MOST_BYTES``."""
     try:
-        content = path.read_bytes()
+        content = read_input(path, MOST_BYTES)
     except OSError as error:
         raise ConfigError(f"{where}: {path}: cannot be read: {error.strerror}; name a file") from error
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.name).lstrip(".-") or "file"
     if files.get(name, content) != content:
         name = f"{hashlib.sha256(content).hexdigest()[:12]}-{name}"
     files[name] = content
+    if sum(map(len, files.values())) > MOST_BYTES:
+        raise ConfigError(
+            f"{where}: {path}: with it its files are more than {MOST_BYTES >> 20} MiB; let the cells' own files name it"
+        )
     return name
 
 

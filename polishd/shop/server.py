@@ -198,7 +198,7 @@ def _report(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
         report = feed.CellReport(**said)
         upto = feed.take(sql, cell, report)
         word = shop_parts.report(sql, cell, report.journal, report.claims)
-    except (TypeError, ValueError, KeyError, AttributeError) as error:
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise ConfigError(f"that is no report of a cell: {type(error).__name__}; are both of one polishd?") from error
     return {"upto": upto, **asdict(word), "offers": feed.offers(sql, cell)}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, LinkError
 from polishd.shop import database, server
 from polishd.shop.database import CellReport, Database
 
@@ -125,3 +126,40 @@ def test_a_row_that_is_none_takes_nothing_of_its_report(shop: Database) -> None:
     assert numbers(shop) == []
     with shop.transaction() as sql:
         assert server.status_view(sql, ())["cells"] == []
+
+
+class Failing:
+    """A connection whose next COMMIT fails, with SQLite's own rollback or without it."""
+
+    def __init__(self, connection: sqlite3.Connection, *, rolls_back: bool) -> None:
+        self._connection, self._rolls_back, self._fails = connection, rolls_back, True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    def execute(self, sql: str, *values: Any) -> Any:
+        if sql == "COMMIT" and self._fails:
+            self._fails = False
+            if self._rolls_back:
+                self._connection.execute("ROLLBACK")
+            raise sqlite3.OperationalError("database or disk is full")
+        return self._connection.execute(sql, *values)
+
+
+@pytest.mark.parametrize("rolls_back", [False, True])
+def test_a_commit_that_fails_is_named_and_the_next_request_works(shop: Database, rolls_back: bool) -> None:
+    shop._connection = Failing(shop._connection, rolls_back=rolls_back)  # type: ignore[assignment]
+    with pytest.raises(LinkError, match="database or disk is full"):
+        take(shop, report_of(1, 3))
+    assert numbers(shop) == []
+    assert take(shop, report_of(1, 3)) == 3
+
+
+def test_a_database_that_is_full_is_named(shop: Database) -> None:
+    """SQLite then rolls back without a command; a second rollback would hide the cause."""
+    with shop.transaction() as sql:
+        (pages,) = sql.row("PRAGMA page_count").values()  # type: ignore[union-attr]
+        sql.rows(f"PRAGMA max_page_count = {pages + 1}")
+    with pytest.raises(LinkError, match="full"), shop.transaction() as sql:
+        sql.insert("file", {"sha256": "a", "content": b"x" * 1_000_000})
+    assert take(shop, replace(report_of(1, 0), events=())) == 0

@@ -321,8 +321,18 @@ def test_a_file_that_is_missing_too_large_or_no_job_is_refused_by_name(
         read_part(path)
     write(tmp_path)
     monkeypatch.setattr(parts, "MOST_BYTES", 3)
-    with pytest.raises(ConfigError, match="its files are more than"):
+    with pytest.raises(ConfigError, match="with it its files are more than"):
         read_part(path)
     path.write_text('[cell]\nname = "x"\n')
     with pytest.raises(ConfigError, match=r"(?s)belongs into the cell's file.*job\.id: is missing"):
         read_part(path)
+
+
+def test_a_file_that_is_too_large_is_not_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "MOST_BYTES", 1000)
+    job = tmp_path / "job.toml"
+    job.write_text('[job]\nid = "lens"\n[part]\nid = "P-1"\n[program]\npath = "lens.rnc"\n')
+    with (tmp_path / "lens.rnc").open("wb") as file:
+        file.truncate(1 << 40)  # takes no room on the disk; would not fit into memory
+    with pytest.raises(ConfigError, match=r"job\.toml: program\.path: .*lens\.rnc: cannot be read: it is larger than"):
+        read_part(job)

@@ -114,6 +114,13 @@ def test_a_token_is_for_its_own_side_alone(shop: Asked) -> None:
         assert shop.ask("north", "POST", path, {}).status_code == 401
 
 
+def test_a_large_report_is_read_with_a_token_alone(shop: Asked) -> None:
+    """A cell with a refused token learns of it, however much it sends."""
+    large = json.dumps({**REPORT, "now": {"reason": "x" * 300_000}}).encode()
+    assert shop.ask("north", "POST", "cell/report", large).status_code == 200
+    assert shop.ask("wrong", "POST", "cell/report", large).status_code == 401
+
+
 def test_guessing_tokens_locks_the_address_out(shop: Asked) -> None:
     for _ in range(WRONG + 1):
         assert shop.ask("wrong", "POST", "cell/claim", {}).status_code == 401
@@ -138,6 +145,7 @@ def test_guessing_tokens_locks_the_address_out(shop: Asked) -> None:
         json.dumps({**REPORT, "claims": {"r": {}}}).encode(),
         json.dumps({**REPORT, "events": [[1]]}).encode(),
         json.dumps({**REPORT, "first": "x"}).encode(),
+        json.dumps({**REPORT, "jobs": [[1 << 70, "a", "P", 5.0, None, None, None]]}).encode(),
         json.dumps({**REPORT, "jobs": [[1, None, "P", 5.0, None, None, None]]}).encode(),
     ],
 )
