@@ -1,4 +1,4 @@
-"""What the dashboard needs beside the live values: limits, tolerance, progress of the pass and of the phase, time left.
+"""Values of the dashboard beside the live ones: limits, tolerance, progress of the pass and of the phase, time left.
 
 Times left are derived from the journal alone: planned time that is not executed yet, times the pace of earlier passes.
 """
@@ -183,11 +183,7 @@ class Overview:
         """Return the time until the end of the pass, its error (one standard deviation), and what both rest on."""
         if dwell_s <= 0:
             return None
-        sql = (
-            "SELECT (ended - started) / json_extract(facts, '$.dwell_s') FROM pass WHERE how = 'done' AND "
-            "json_extract(facts, '$.dwell_s') > 0 ORDER BY started DESC LIMIT ?"
-        )
-        paces = [value for (value,) in self._rows(sql, EARLIER)]
+        paces = self._paces()
         rest_s = max(dwell_s - contact_s, 0.0)
         if len(paces) > 1:
             pace, error, basis = statistics.median(paces), _spread(paces) / statistics.median(paces), "passes"
@@ -197,6 +193,13 @@ class Overview:
             pace, error, basis = (paces or [1.0])[0], UNKNOWN_ERROR, "passes" if paces else "plan"
         left_s = rest_s * pace
         return {"s": left_s, "error_s": max(error, LEAST_ERROR) * left_s, "basis": basis, "earlier": len(paces)}
+
+    def _paces(self) -> list[float]:
+        """Return the duration over the planned time of the last passes, the newest first."""
+        sql = "SELECT ended - started, facts FROM pass WHERE how = 'done' ORDER BY started DESC LIMIT ?"
+        # facts may contain NaN, which json.loads reads and SQLite's JSON functions refuse
+        passes = [(took_s, json.loads(text).get("dwell_s") or 0.0) for took_s, text in self._rows(sql, EARLIER)]
+        return [took_s / dwell_s for took_s, dwell_s in passes if dwell_s > 0]
 
     def _plan_curve(self, name: str) -> list[tuple[float, int]]:
         """Return the plan's time in contact up to the end of each block, thinned; empty without a plan."""

@@ -125,3 +125,11 @@ def test_a_phase_has_the_time_that_earlier_ones_took(config: CellConfig) -> None
 )  # fmt: skip
 def test_an_old_reading_is_no_reading(readings: dict[str, Any], row: tuple[float | None, ...]) -> None:
     assert reading_row({"readings": readings}, 1.0, 2.0) == row
+
+
+def test_a_pass_with_a_figure_that_is_not_a_number_is_no_fault(config: CellConfig) -> None:
+    """The journal writes NaN, which SQLite's JSON functions refuse."""
+    under_way(config, 2, 110)
+    write(config, [("UPDATE pass SET facts = replace(facts, '{', '{\"x\": NaN, ') WHERE how = 'done' AND job = 1", ())])
+    left = Overview(config, Clock()).facts()["pass"]["left"]
+    assert (left["basis"], left["s"]) == ("passes", pytest.approx(1.5 * 300.0))
