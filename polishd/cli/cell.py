@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -20,6 +19,7 @@ from polishd.daemon.notifications.notifications import try_out
 from polishd.model.errors import ConfigError, DeviceFault, LinkError
 from polishd.plugin_loader import DECLARATIONS, load_cell, load_own, plugins_of
 from polishd.rendering.terminal import emit, key_table, outcome_tables, record_table, say, stderr, stdout
+from polishd.util.command_line import yield_to_daemon
 from polishd.util.extras import require_extra
 from polishd.util.threads import run_loop
 
@@ -175,9 +175,6 @@ def web_verb(cell: Path, add_user: str | None, role: Role, remove_user: str | No
 
 # ``polishd opcua``: the cell's OPC UA server.
 
-NICE = 5
-"""Lower priority than the daemon, whose loop controls contact."""
-
 
 def opcua_verb(path: Path) -> None:
     """Serve until Ctrl-C or SIGTERM. Raise ConfigError if [opcua] or the library is missing."""
@@ -188,7 +185,7 @@ def opcua_verb(path: Path) -> None:
     require_extra("polishd opcua", "opcua")
     from polishd.opcua.server import ADDRESS, serve
 
-    os.nice(NICE)
+    yield_to_daemon()
     try:
         asyncio.run(serve(config.cell.name, config.state_dir, config.opcua))
     except OSError as error:

@@ -21,9 +21,10 @@ from polishd.config.cell import load_config
 from polishd.daemon.job.initial_estimates import JournalledEstimates, forget_estimates, journalled_estimates
 from polishd.daemon.journal.history import JobHistory, read_history, read_only
 from polishd.rendering.plots import BLUE, GREEN, MUTED, ORANGE, figure, png, polishd_style, ruled
-from polishd.rendering.terminal import emit, figure_table, record_table
+from polishd.rendering.terminal import emit, figure_table, record_table, utc_minute
+from polishd.web.part_history import week_of
 
-HISTORY_COLUMNS = ("job", "part", "began, UTC", "took", "passes", "RMS nm", "worst line", "rate", "faults", "outcome")
+HISTORY_COLUMNS = ("job", "part", "began", "took", "passes", "RMS nm", "worst line", "rate", "faults", "outcome")
 
 
 def history_verb(cell: Path, out: Path | None, *, as_json: bool) -> None:
@@ -56,10 +57,10 @@ def fault_tables(jobs: Sequence[JobHistory]) -> list[Table]:
     faults = [(fault, job) for job in jobs for fault in job.faults]
     last = {fault.kind: (fault, job) for fault, job in faults}
     rows = [
-        (kind, count, _when(last[kind][0].at_s), last[kind][1].job, last[kind][0].what)
+        (kind, count, utc_minute(last[kind][0].at_s), last[kind][1].job, last[kind][0].what)
         for kind, count in Counter(fault.kind for fault, _ in faults).most_common()
     ]
-    return [record_table("faults", ("kind", "times", "last, UTC", "in", "what"), rows)] if rows else []
+    return [record_table("faults", ("kind", "times", "last", "in", "what"), rows)] if rows else []
 
 
 def _history_row(job: JobHistory) -> Sequence[str]:
@@ -69,7 +70,7 @@ def _history_row(job: JobHistory) -> Sequence[str]:
     return (
         job.job,
         job.part_id,
-        _when(job.began_s),
+        utc_minute(job.began_s),
         "" if job.ended_s is None else _took(job.ended_s - job.began_s),
         f"{job.passes}{torn}",
         rms,
@@ -95,10 +96,6 @@ def _took(seconds: float) -> str:
     """Format as hours and minutes."""
     hours, minutes = divmod(round(seconds / 60), 60)
     return f"{hours} h {minutes:02d} min"
-
-
-def _when(at_s: float) -> str:
-    return f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%d %H:%M}"
 
 
 def _iso(at_s: float) -> str:
@@ -156,7 +153,7 @@ def _rates(ax: Axes, jobs: Sequence[JobHistory]) -> None:
 
 def _faults(ax: Axes, jobs: Sequence[JobHistory]) -> None:
     """Draw faults that needed an operator, one bar a week, the most frequent kinds below."""
-    faults = [(fault.kind, _monday(fault.at_s)) for job in jobs for fault in job.faults]
+    faults = [(fault.kind, week_of(fault.at_s) / DAY_S) for job in jobs for fault in job.faults]
     named = [kind for kind, _ in Counter(kind for kind, _ in faults).most_common(KINDS)]
     counts = Counter((kind if kind in named else OTHERS, week) for kind, week in faults)
     weeks = sorted({week for _, week in counts})
@@ -184,15 +181,9 @@ def _dated(ax: Axes, *, empty: bool) -> None:
     ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
 
 
-def _monday(at_s: float) -> float:
-    """Return the day number of the week's first day, UTC (day 0 was a Thursday)."""
-    day = at_s // DAY_S
-    return day - (day + 3) % 7
-
-
 # ``polishd estimates``: the estimates with which the next job starts, and their deletion.
 
-ESTIMATE_COLUMNS = ("tool", "job", "pass", "at, UTC", "rate", "+-", "ms a block", "more")
+ESTIMATE_COLUMNS = ("tool", "job", "pass", "at", "rate", "+-", "ms a block", "more")
 PARAMETERS = ("parameter", "value", "+-", "used in plans")
 
 
@@ -248,7 +239,7 @@ def _row(one: JournalledEstimates) -> tuple[str, ...]:
         one.tool or "-",
         one.job,
         str(one.cycle + 1),
-        f"{datetime.fromtimestamp(one.at_s, UTC):%Y-%m-%d %H:%M}",
+        utc_minute(one.at_s),
         f"{rate['value']:.3f}",
         "" if rate["sigma"] is None else f"{rate['sigma']:.3f}",
         f"{1e3 * one.believed['block_overhead_s']:.1f}",

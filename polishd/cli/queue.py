@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon, PolishdError
 from polishd.plugin_loader import load_cell
-from polishd.rendering.terminal import emit, record_table
+from polishd.rendering.terminal import emit, record_table, utc_minute
 from polishd.util.command_line import terminal_user
 from polishd.util.threads import run_loop
 
@@ -68,9 +67,7 @@ async def _answered(desk: QueueRequests, verb: str, arguments: Mapping[str, Any]
 
 def _show(config: CellConfig, answer: Mapping[str, Any], *, as_json: bool) -> None:
     found = {"jobs": answer["jobs"]}
-    rows = [(job["name"], job["part_id"], job["state"], _day(job["added_s"]), job["reason"]) for job in found["jobs"]]
+    rows = [
+        (job["name"], job["part_id"], job["state"], utc_minute(job["added_s"]), job["reason"]) for job in found["jobs"]
+    ]
     emit(found, as_json=as_json, table=lambda: record_table(f"{config.cell.name}: queue", COLUMNS, rows))
-
-
-def _day(at_s: float) -> str:
-    return f"{datetime.fromtimestamp(at_s).astimezone():%Y-%m-%d %H:%M}"

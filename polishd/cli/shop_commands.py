@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from polishd.config.server_sections import load_shop
 from polishd.plugin_loader import load_cell
-from polishd.rendering.terminal import emit, figure_table, record_table, say
+from polishd.rendering.terminal import emit, figure_table, record_table, say, utc_minute
 from polishd.shop import parts, server
 from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.link import ShopLink
 from polishd.shop.parts import digests, read_part
 from polishd.shop.server import cells_of, people_of, serve
-from polishd.util.command_line import terminal_user
+from polishd.util.command_line import terminal_user, yield_to_daemon
 from polishd.web.http.users import Role, UserFile
-
-NICE = 5
-"""Lower priority than the daemon, whose loop controls contact."""
 
 
 def serve_verb(
@@ -61,7 +56,7 @@ def link_verb(path: Path) -> None:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    os.nice(NICE)
+    yield_to_daemon()
     ShopLink(config, hooks, config.shop).run(stop)
 
 
@@ -77,7 +72,15 @@ def list_verb(path: Path, *, as_json: bool) -> None:
     found = _in(path, lambda sql: {**server.parts_view(sql), "words": server.words(sql)})
     columns = ("job", "part", "state", "cell", "added", "verdict", "why")
     rows = [
-        (one["job"], one["part_id"], one["state"], one["cell"] or "", _when(one["added"]), one["verdict"], _why(one))
+        (
+            one["job"],
+            one["part_id"],
+            one["state"],
+            one["cell"] or "",
+            utc_minute(one["added"]),
+            one["verdict"],
+            _why(one),
+        )
         for one in found["parts"]
     ]
     emit(found, as_json=as_json, table=lambda: record_table("parts of the shop", columns, rows))
@@ -100,9 +103,9 @@ def status_verb(path: Path, *, as_json: bool) -> None:
 def history_verb(path: Path, *, as_json: bool) -> None:
     """Show the jobs of all cells."""
     found = _in(path, server.history)
-    columns = ("job", "part", "cell", "began, UTC", "passes", "RMS nm", "outcome")
+    columns = ("job", "part", "cell", "began", "passes", "RMS nm", "outcome")
     rows = [
-        (one["name"], one["part_id"], one["cell"], _when(one["started"]), str(one["passes"]), _rms(one["rms_nm"]),
+        (one["name"], one["part_id"], one["cell"], utc_minute(one["started"]), str(one["passes"]), _rms(one["rms_nm"]),
          one["outcome"].replace("_", " "))
         for one in found["jobs"]
     ]  # fmt: skip
@@ -112,10 +115,10 @@ def history_verb(path: Path, *, as_json: bool) -> None:
 def shop_estimates_verb(path: Path, *, as_json: bool) -> None:
     """Show the last estimates of each recipe and cell."""
     found = _in(path, server.lessons)
-    columns = ("recipe", "tool", "cell", "job", "pass", "at, UTC", "rate", "+-")
+    columns = ("recipe", "tool", "cell", "job", "pass", "at", "rate", "+-")
     rows = [
-        (one["recipe"][:8], one["tool"] or "-", one["cell"], one["job"], str(one["of_cycle"] + 1), _when(one["at_s"]),
-         f"{one['rate']:.3f}", f"{one['sigma']:.3f}")
+        (one["recipe"][:8], one["tool"] or "-", one["cell"], one["job"], str(one["of_cycle"] + 1),
+         utc_minute(one["at_s"]), f"{one['rate']:.3f}", f"{one['sigma']:.3f}")
         for one in found["lessons"]
     ]  # fmt: skip
     emit(found, as_json=as_json, table=lambda: figure_table("estimates of the cells", columns, rows))
@@ -155,10 +158,6 @@ def _heard(cell: Mapping[str, Any]) -> str:
     if cell["heard_s"] is None:
         return "never: does polishd shop connect CELL.toml run there?"
     return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"
-
-
-def _when(at_s: float) -> str:
-    return f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%d %H:%M}"
 
 
 def _rms(figures: Sequence[float]) -> str:

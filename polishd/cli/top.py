@@ -24,13 +24,12 @@ from polishd.model.errors import NoDaemon, PolishdError
 from polishd.model.states import CellSafety
 from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import stdout
+from polishd.web.watcher import OLD_S
 
 LOOK_S = 0.5
 """Period of polls."""
 ANSWER_S = 1.0
 """Time limit of an answer."""
-OLD_S = 2.0
-"""Age at which a reading is no longer live."""
 CYCLES_S = 5.0
 """Period of polls of the measurements, which change once in a pass."""
 

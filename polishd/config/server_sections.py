@@ -34,6 +34,9 @@ class OpcUaSection(ConfigSection):
     """The machine's location."""
 
 
+CERTIFICATE_WARNING_S = 21 * 86400.0
+"""Lead time of the warning before a TLS certificate expires."""
+
 # ``[shop]`` of a cell's file: the shop that the cell belongs to (docs/how-to/shop.md).
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})

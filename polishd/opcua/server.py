@@ -36,6 +36,7 @@ from polishd.opcua.jobs import (
     nothing,
     read_work,
 )
+from polishd.web.watcher import OLD_S
 
 # States of OPC 40001-1 for the daemon's states: machine state and operation mode.
 
@@ -98,8 +99,6 @@ DEFAULTS = re.compile(
 """Empty values of types' structures, which asyncua cannot read; a type's value is never used."""
 MACHINES, ITEM_STATE, IDENTIFICATION, OPERATION_MODE = 1001, 1002, 1012, 1008
 """Nodes of Machinery: the folder of machines, and types."""
-OLD_S = 2.0
-"""Age from which a reading is not live."""
 TEXT, NUMBER, WHOLE, BOOLEAN = (
     ua.VariantType.String, ua.VariantType.Double, ua.VariantType.Int64, ua.VariantType.Boolean,
 )  # fmt: skip

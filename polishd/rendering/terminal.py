@@ -7,6 +7,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import typer
@@ -193,6 +194,11 @@ def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str
     for column in table.columns[1:]:
         column.justify = "right"
     return table
+
+
+def utc_minute(at_s: float) -> str:
+    """Format a Unix time, s, with its zone, as in the certificates and on the page's server."""
+    return f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _interruption(cycle: Mapping[str, Any]) -> str:

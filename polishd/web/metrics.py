@@ -1,7 +1,7 @@
 """``GET /metrics``: the cell's figures for Prometheus, from the watcher and the journal.
 
-A scrape sends no request to the daemon: the watcher reads it once for all clients (0026). Units are Prometheus' base
-units, so heights are in meters: 2 nm is 2e-09. An unknown value has no line, never its last value.
+A scrape sends no request to the daemon: the watcher reads it once for all clients. Units are Prometheus' base units, so
+heights are in meters: 2 nm is 2e-09. An unknown value has no line, never its last value.
 """
 
 from __future__ import annotations
@@ -28,13 +28,12 @@ from polishd.model.tolerance import line_results
 from polishd.web.api import Api
 from polishd.web.http.users import HttpSession
 from polishd.web.run_data import RunData
+from polishd.web.watcher import OLD_S
 
 log = logging.getLogger(__name__)
 
 FRESH_S = 1.0
 """Time for which an answer serves all scrapes."""
-OLD_S = 2.0
-"""Age from which a reading is not live: the metrics have its age, not its value."""
 M_PER_NM, BYTES_PER_MB, HZ_PER_RPM = 1e-9, 1e6, 1 / 60
 STATES = ("starting", "idle", "changing", "polishing", "held", "finished")
 """States of a daemon; a test compares them with its table."""
@@ -134,7 +133,9 @@ def _doing(live: Mapping[str, Any]) -> Iterator[Metric]:
 def _readings(readings: Mapping[str, Any], passed_s: float) -> Iterator[Metric]:
     for whose, field, name, what, per in READINGS:
         reading = readings.get(whose)
-        if reading is not None and reading.get(field) is not None and reading["age_s"] + passed_s <= OLD_S:
+        if (
+            reading is not None and reading.get(field) is not None and reading["age_s"] + passed_s <= OLD_S
+        ):  # the metrics have the age of an old one
             yield _one(name, what, reading[field] * per)
     for whose, name, what in AGES:
         if readings.get(whose) is not None:

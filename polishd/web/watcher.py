@@ -31,7 +31,7 @@ ANSWER_S = 1.0
 KEPT_READINGS = 1200
 """Readings that are kept for charts: ten minutes."""
 OLD_S = 2.0
-"""Age from which a reading is not shown as present."""
+"""Age from which a reading is not live: on the page, in metrics, in OPC UA and in ``polishd top``."""
 MOST_BEHIND = 200
 """Messages that a page may be behind; then it is disconnected, and connects again."""
 

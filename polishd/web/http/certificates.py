@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from cryptography import x509
 
-from polishd.config.server_sections import WebSection
+from polishd.config.server_sections import CERTIFICATE_WARNING_S, WebSection
 from polishd.config.toml_loader import TomlDocument
 from polishd.model.errors import ConfigError, PolishdError
 from polishd.util.files import require_private
@@ -22,8 +22,6 @@ log = logging.getLogger(__name__)
 
 LOOK_S = 1.0
 """Interval between two checks of the files."""
-WARN_S = 21 * 86400.0
-"""Lead time of the warning before the certificate expires."""
 EXPIRY_AGAIN_S = 86400.0
 """Time until the warning is repeated."""
 
@@ -88,7 +86,7 @@ class Certificate:
         todo = f"Renew {self._cert} and {self._key.name}; they are taken up without a restart"
         if left_s <= 0:
             return f"the TLS certificate {self._cert} expired on {expires}: browsers and links refuse it. {todo}"
-        if left_s < WARN_S:
+        if left_s < CERTIFICATE_WARNING_S:
             days = left_s / 86400
             return f"the TLS certificate {self._cert} expires on {expires}, in {days:.1f} days. {todo}"
         return ""

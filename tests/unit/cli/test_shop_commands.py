@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,11 @@ def test_parts_are_added_all_or_none_listed_released_and_removed(office: Office)
     assert "b was removed from the shop" in office.say("remove", "b", "--by", "ada", "--reason", "broken")
     assert [one["state"] for one in office.printed("list")["parts"]] == ["waiting", "removed"]
     assert office.printed("list")["words"][-1]["why"] == "broken"
+
+
+def test_times_have_their_zone(office: Office) -> None:
+    office.say("add", office.job("lens"))
+    assert re.search(r"\d\d:\d\d UTC", office.say("list"))
 
 
 def test_what_cells_do_did_and_have_learned_is_shown(office: Office) -> None:

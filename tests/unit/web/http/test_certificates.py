@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from polishd.config.server_sections import ShopFile, load_shop
+from polishd.config.server_sections import CERTIFICATE_WARNING_S, ShopFile, load_shop
 from polishd.model.errors import ConfigError
-from polishd.web.http.certificates import WARN_S, Certificate
+from polishd.web.http.certificates import Certificate
 from tests.certificates import DAY_S, Authority
 from tests.patience import SOON_S
 
@@ -70,7 +70,7 @@ def test_it_is_said_before_it_expires_once_a_day_and_when_it_has(
     certificate.look()
     assert (caplog.messages, certificate.facts()["wrong"]) == ([], "")
     assert 89.9 < certificate.facts()["days_left"] <= 90
-    clock.ahead_s = 90 * DAY_S - WARN_S + 60
+    clock.ahead_s = 90 * DAY_S - CERTIFICATE_WARNING_S + 60
     for _ in range(3):
         certificate.look()
     (said,) = caplog.messages
