@@ -9,21 +9,22 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import shutil
 import sqlite3
 import ssl
 import threading
 import time
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from polishd.config.cell import CellConfig
-from polishd.config.server_sections import ShopLinkSection
+from polishd.config.server_sections import CERTIFICATE_WARNING_S, ShopLinkSection
 from polishd.daemon.checks import check_jobs
 from polishd.daemon.job.initial_estimates import FORGOTTEN
 from polishd.daemon.journal.history import read_only
@@ -34,6 +35,7 @@ from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError,
 from polishd.model.events import PassProgressed, ShopRateReceived
 from polishd.plugin_loader import Hooks
 from polishd.shop.database import CellReport
+from polishd.shop.parts import DONE
 from polishd.util.files import make_folder, named_path, read_secret, redact_secrets, write_atomic
 
 # Requests of a cell to its shop: HTTP with its token, over TLS or on this computer.
@@ -44,8 +46,8 @@ STEP_S = 15.0
 """Time limit of one step of a request."""
 MOST_BYTES = 32 << 20
 SERVER_ERRORS = 500
-WARN_S, AGAIN_S = 21 * 86400.0, 86400.0
-"""Lead time of the warning before the shop's certificate expires, and time until its repetition."""
+AGAIN_S = 86400.0
+"""Time until the warning that the shop's certificate expires is repeated."""
 NOT_YET_VALID, EXPIRED = 9, 10
 UNKNOWN_ISSUER, OTHER_NAME = (18, 19, 20, 21), (62, 64)
 """OpenSSL's reasons to distrust a certificate (X509_V_ERR_...)."""
@@ -144,8 +146,8 @@ class ShopClient:
         if not isinstance(connection, ssl.SSLSocket):
             return
         ends = str((connection.getpeercert() or {}).get("notAfter", ""))
-        left_s = ssl.cert_time_to_seconds(ends) - time.time() if ends else WARN_S
-        if left_s < WARN_S and time.monotonic() - self._warned_s >= AGAIN_S:
+        left_s = ssl.cert_time_to_seconds(ends) - time.time() if ends else CERTIFICATE_WARNING_S
+        if left_s < CERTIFICATE_WARNING_S and time.monotonic() - self._warned_s >= AGAIN_S:
             self._warned_s = time.monotonic()
             log.warning(
                 "%s: the shop's TLS certificate expires on %s, in %.1f days. Renew it at the shop: cert and key in "
@@ -194,6 +196,8 @@ def _error(content: bytes) -> str:
 
 MOST_EVENTS = 500
 """Most events in one report."""
+FILES_KEPT_S = 3600.0
+"""Time for which a job's files are kept after its end: its run folder may still be written."""
 LESSON_AGAIN_S = 86400.0
 """Least age difference for a repeated offer of another cell's rate."""
 
@@ -300,6 +304,82 @@ def _row_hash(row: tuple[Any, ...]) -> str:
     return hashlib.sha256(json.dumps(row).encode()).hexdigest()[:16]
 
 
+def finished_claims(state_dir: Path) -> set[str]:
+    """Claims whose part was finished before the last job of the cell began, and ``FILES_KEPT_S`` ago.
+
+    A job that was removed or set aside is none of them: an operator may add its file again.
+    """
+    sql = "SELECT claim, verdict FROM queue WHERE ended < ? AND job < (SELECT max(id) FROM job)"
+    with read_only(state_dir) as journal:
+        rows = journal.execute(sql, (time.time() - FILES_KEPT_S,)).fetchall()
+    return {claim for claim, verdict in rows if claim and verdict in DONE}
+
+
+# Answers of the shop. ``of`` raises KeyError, TypeError, ValueError or AttributeError for any other answer.
+
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class _ReportAnswer:
+    upto: int
+    """Number of the last event that the shop has."""
+    assignments: dict[str, list[str]]
+    """Claims by their state: stands, back, lost."""
+    offers: list[dict[str, Any]]
+
+    @classmethod
+    def of(cls, answer: Mapping[str, Any]) -> _ReportAnswer:
+        assignments = {key: [_text(one, key) for one in answer[key]] for key in ("stands", "back", "lost")}
+        for offer in answer["offers"]:
+            _text(offer["recipe"], "recipe of an offer")
+            if not isinstance(offer["at_s"], int | float):
+                raise TypeError(f"at_s of an offer is {offer['at_s']!r}, not a time")
+            hash(tuple(offer.values()))  # TypeError of a list or an object
+        if type(answer["upto"]) is not int or answer["upto"] < 0:
+            raise ValueError(f"upto is {answer['upto']!r}, not the number of an event")
+        return cls(answer["upto"], assignments, list(answer["offers"]))
+
+
+@dataclass(frozen=True, slots=True)
+class _ClaimedPart:
+    job: str
+    content: str
+    """The job's file."""
+    files: dict[str, str]
+    """SHA-256 of the files that it names, by name."""
+
+    @classmethod
+    def of(cls, part: Mapping[str, Any]) -> _ClaimedPart:
+        files = {_file_name(name): _text(digest, name) for name, digest in part["files"].items()}
+        return cls(_text(part["job"], "job"), _text(part["content"], "content"), files)
+
+
+@dataclass(frozen=True, slots=True)
+class _ClaimAnswer:
+    part: _ClaimedPart | None
+    is_over: bool
+    """The part of this request was given back or has ended."""
+
+    @classmethod
+    def of(cls, answer: Mapping[str, Any]) -> _ClaimAnswer:
+        part = answer["part"]
+        return cls(None if part is None else _ClaimedPart.of(part), answer.get("over") is True)
+
+
+def _text(value: Any, what: str) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{what} is {value!r}, not a text")
+    value.encode()  # ValueError of half a character
+    return value
+
+
+def _file_name(name: str) -> str:
+    if Path(name).name != name or name == ".." or "\0" in name:
+        raise ValueError(f"{name!r} is not the name of a file")
+    return name
+
+
 LONGEST_PAUSE_S = 15.0
 """Longest pause between requests while the shop is away."""
 REFUSED_S = 90.0
@@ -358,11 +438,21 @@ class ShopLink:
         if found is None:
             return False
         report, more = found
-        answer = self._wire.ask("/api/cell/report", facts(report))
-        behind = int(answer["upto"]) != report.last
-        self._upto = int(answer["upto"])
+        answer = self._ask("report", facts(report), _ReportAnswer.of)
+        behind, self._upto = answer.upto != report.last, answer.upto
         self._heed(answer, status)
         return more or behind or self._wants(status)
+
+    def _ask(self, verb: str, said: Mapping[str, Any], parse: Callable[[dict[str, Any]], Answer]) -> Answer:
+        """Send a request and parse its answer; LinkError where it is not the answer of a shop."""
+        found = self._wire.ask(f"/api/cell/{verb}", said)
+        try:
+            return parse(found)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise LinkError(
+                f"{self._section.url}: its answer to {verb} cannot be used: {type(error).__name__}: {error}. Check "
+                "that shop.url is a shop's, and that cell and shop have the same release of polishd"
+            ) from error
 
     def _until_new_token(self, stop: threading.Event) -> float:
         """Wait for another token, ``REFUSED_S`` at most; return the pause before the next turn.
@@ -377,12 +467,21 @@ class ShopLink:
 
     # answers of the shop
 
-    def _heed(self, answer: Mapping[str, Any], status: Mapping[str, Any]) -> None:
-        word = {key: list(answer[key]) for key in ("stands", "back", "lost")}
-        self._open = [*word["stands"], *word["back"]]
+    def _heed(self, answer: _ReportAnswer, status: Mapping[str, Any]) -> None:
+        self._open = [*answer.assignments["stands"], *answer.assignments["back"]]
+        self._remove_files()
         if "waiting" in status:
-            self._daemon("shop_assignments", word)
-            self._offer([one for one in answer["offers"] if tuple(one.values()) not in self._seen])
+            self._daemon("shop_assignments", answer.assignments)
+            self._offer([one for one in answer.offers if tuple(one.values()) not in self._seen])
+
+    def _remove_files(self) -> None:
+        """Remove the files of parts that the shop knows as finished, and that were finished before the present job.
+
+        The page reads the files of the last job.
+        """
+        present = {path.name for path in (self._folder / "jobs").glob("*")} - {*self._open, self._asking()}
+        for request in present & finished_claims(self._config.state_dir) if present else ():
+            shutil.rmtree(self._folder / "jobs" / request, ignore_errors=True)
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
         """Send the rates of other cells to the daemon where it needs them; consider each offer once."""
@@ -401,20 +500,22 @@ class ShopLink:
         if has_claim(self._config.state_dir, request):  # it was added just before the link ended
             self._settled()
             return True
-        answer = self._wire.ask("/api/cell/claim", {"request": request})
-        if answer.get("over"):
+        answer = self._ask("claim", {"request": request}, _ClaimAnswer.of)
+        if answer.is_over:
             self._settled()
-        if (part := answer["part"]) is None:
+        if (part := answer.part) is None:
             return False
         path = self._written(request, part)
         try:
             check_jobs(self._config, self._hooks, [path], self._judged)
-            self._add(request, path, part["content"])
+            self._add(request, path, part.content)
         except LinkError:
             raise
         except PolishdError as error:
             self._wire.ask("/api/cell/refuse", {"request": request, "why": str(error)})
-            log.warning("%s: the part of job %r was refused: %s", self._config.cell.name, part["job"], error)
+            log.warning("%s: the part of job %r was refused: %s", self._config.cell.name, part.job, error)
+            if not has_claim(self._config.state_dir, request):  # the daemon may have taken it at an earlier trial
+                shutil.rmtree(path.parent, ignore_errors=True)
         self._settled()
         return True
 
@@ -426,14 +527,19 @@ class ShopLink:
             known = answer.get("exit_code") == ConfigError.exit_code
             raise (ConfigError if known else LinkError)(str(answer.get("error")))
 
-    def _written(self, request: str, part: Mapping[str, Any]) -> Path:
-        """Write the job's file, and the files that it names, into a new folder."""
-        folder = make_folder_of(self._folder / "jobs" / request)
-        for name, digest in part["files"].items():
-            write_atomic(folder / Path(name).name, self._wire.fetch("/api/cell/file", {"sha256": digest}))
-        path = folder / "job.toml"
-        write_atomic(path, str(part["content"]).encode())
-        return path.absolute()
+    def _written(self, request: str, part: _ClaimedPart) -> Path:
+        """Write the job's file, and the files that it names, into a new folder. LinkError where the disk refuses."""
+        folder = self._folder / "jobs" / request
+        try:
+            make_folder_of(folder)
+            for name, digest in part.files.items():
+                write_atomic(folder / name, self._wire.fetch("/api/cell/file", {"sha256": digest}))
+            write_atomic(folder / "job.toml", part.content.encode())
+        except OSError as error:
+            raise LinkError(
+                f"{folder}: the files of job {part.job!r} cannot be written: {error}. Check the disk"
+            ) from error
+        return (folder / "job.toml").absolute()
 
     # the open request: durable before it is sent
 

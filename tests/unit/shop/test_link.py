@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from starlette.testclient import TestClient
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
-from polishd.daemon.queue.queue import Queue
+from polishd.daemon.queue.queue import JobResult, Queue
 from polishd.daemon.runtime.events import Event
 from polishd.model import events
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, PolishdError, TokenRefused
@@ -410,3 +411,104 @@ def test_a_journal_of_an_earlier_format_says_what_to_do(rig: Rig) -> None:
     (rig.config.state_dir / JOURNAL_NAME).touch()
     with pytest.raises(ConfigError, match=r"no such table: .*\. Run polishd run"):
         rig.link.turn()
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"upto": "x"}, "upto is 'x'"),
+        ({"upto": None}, "upto is None"),
+        ({"stands": 3}, "TypeError"),
+        ({"stands": [3]}, "stands is 3"),
+        ({"offers": [{}]}, "KeyError: 'recipe'"),
+        ({"offers": [{**OFFER, "tool": []}]}, "unhashable"),
+        ({"offers": [{**OFFER, "at_s": "5"}]}, "at_s of an offer"),
+    ],
+)
+def test_a_report_that_is_answered_wrongly_ends_no_link(rig: Rig, change: dict[str, Any], names: str) -> None:
+    rig.happens(HELD)
+    rig.office.word = {**rig.office.word, **change}
+    with pytest.raises(LinkError, match=rf"its answer to report cannot be used: .*{names}"):
+        rig.link.turn()
+    assert rig.desk.asked == []
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        ({"job": 3}, "job is 3"),
+        ({"content": None}, "content is None"),
+        ({"files": ["a"]}, "AttributeError"),
+        ({"files": {"..": "ab"}}, "is not the name of a file"),
+        ({"files": {"a/b": "ab"}}, "is not the name of a file"),
+    ],
+)
+def test_a_part_that_cannot_be_one_ends_no_link(rig: Rig, change: dict[str, Any], names: str) -> None:
+    rig.happens(HELD)
+    part = {"job": "lens", "part_id": "P", "content": "", "files": {}, **change}
+    rig.office.given = defaultdict(lambda: part)
+    rig.office.parts = []
+    real = rig.office.ask
+    rig.office.ask = lambda path, said: {"part": part} if path.endswith("claim") else real(path, said)  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match=rf"its answer to claim cannot be used: .*{names}"):
+        rig.link.turn()
+    assert rig.desk.waiting() == []
+
+
+def test_a_disk_that_refuses_a_jobs_files_ends_no_link(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig.happens(HELD)
+    rig.office.parts = ["lens"]
+    (rig.config.state_dir / "shop").mkdir()
+    (rig.config.state_dir / "shop" / "jobs").write_text("in the way")
+    with pytest.raises(LinkError, match="the files of job 'lens' cannot be written"):
+        rig.link.turn()
+
+
+def test_the_files_of_a_job_are_removed_after_its_end_and_no_others(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "FILES_KEPT_S", -60.0)
+    rig.happens(HELD)
+    rig.office.parts = ["lens", "disc"]
+    folder = rig.config.state_dir / "shop" / "jobs"
+
+    def kept() -> list[str]:
+        rig.link.turn()
+        return sorted((path / "job.toml").read_text().split('"')[1] for path in folder.iterdir())
+
+    def open_claims(*names: str) -> None:
+        rig.office.word["stands"] = [request for request, part in rig.office.given.items() if part["job"] in names]
+
+    def begin(name: str, number: int) -> None:
+        with Queue.at_rest(rig.config.state_dir) as queue:
+            (entry,) = [one for one in queue.to_do() if one.name == name]
+            queue.begin(entry, number)
+
+    def end(name: str) -> None:
+        with Queue.at_rest(rig.config.state_dir) as queue:
+            (entry,) = [one for one in queue.to_do() if one.name == name]
+            queue.end(entry, JobResult("accepted", "", ""))
+
+    rig.link.turn()
+    open_claims("lens")
+    with Journal.of_cell(rig.config.state_dir) as journal:
+        journal.of_job("lens", "P-lens", {})
+    begin("lens", 1)
+    assert kept() == ["disc", "lens"], "it is under way"
+    open_claims("lens", "disc")
+    end("lens")
+    assert kept() == ["disc", "lens"], "it is the last job, and the shop does not know its end"
+    with Journal.of_cell(rig.config.state_dir) as journal:
+        journal.of_job("disc", "P-disc", {})
+    begin("disc", 2)
+    assert kept() == ["disc", "lens"], "the shop does not know its end"
+    open_claims("disc")
+    with monkeypatch.context() as soon:
+        soon.setattr(module, "FILES_KEPT_S", 3600.0)
+        assert kept() == ["disc", "lens"], "its run folder may still be written"
+    assert kept() == ["disc"]
+
+
+def test_the_files_of_a_refused_part_are_removed(rig: Rig) -> None:
+    rig.happens(HELD)
+    rig.office.parts, rig.desk.refuses = ["lens"], ("job.id: 'lens' is done already", ConfigError.exit_code)
+    rig.link.turn()
+    assert list((rig.config.state_dir / "shop" / "jobs").iterdir()) == []
