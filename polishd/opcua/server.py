@@ -335,7 +335,7 @@ async def _ask_on(machine: OpcUaMachine, state_dir: Path) -> None:
             live = await asyncio.to_thread(client.request, state_dir, "live", ANSWER_S)
         except NoDaemon:
             await machine.no_daemon(orders)
-        except PolishdError:
+        except (PolishdError, OSError):  # OSError: too many open files
             await machine.silent(orders)
         else:
             await (machine.update(live, orders) if live.get("state") in STATES else machine.silent(orders))

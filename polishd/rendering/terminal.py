@@ -197,7 +197,7 @@ def figure_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str
 
 
 def utc_minute(at_s: float) -> str:
-    """Format a Unix time, s, with its zone, as in the certificates and on the page's server."""
+    """Format a Unix time, s, with its zone."""
     return f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%d %H:%M} UTC"
 
 

@@ -566,7 +566,11 @@ class ShopLink:
             return {"state": "does not answer", "reason": str(error)}
 
     def _daemon(self, verb: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        return client.request(self._config.state_dir, verb, args=args or {})
+        """Answer of the daemon. NoDaemon, or LinkError where it cannot be asked."""
+        try:
+            return client.request(self._config.state_dir, verb, args=args or {})
+        except OSError as error:  # too many open files
+            raise LinkError(f"{self._config.state_dir}: the daemon cannot be asked: {error}") from error
 
 
 def make_folder_of(path: Path) -> Path:

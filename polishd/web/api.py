@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
@@ -21,7 +22,7 @@ from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, LinkError, NoDaemon, NoSuchResource, PolishdError
 from polishd.util.serialization import json_object, require_unicode
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import BodyRefused, ClientShares, JsonAnswer, RateLimiter, refusal
+from polishd.web.http.server import ClientShares, JsonAnswer, RateLimiter, refusal
 from polishd.web.http.users import COOKIE, HttpSession, SessionStore, address_of, foreign_origin
 from polishd.web.map_data import MapQuery, query_number
 from polishd.web.overview import Overview
@@ -309,7 +310,7 @@ class Api:
         verb = request.url.path.rpartition("/")[2]
         try:
             reason = _reason(await _json(request))
-        except (ConfigError, BodyRefused, ClientDisconnect):  # any other content: the cell must stand still
+        except (ConfigError, HTTPException, ClientDisconnect):  # any other content: the cell must stand still
             reason = ""
         return await self._ordered(verb, {"reason": reason, "by": _by(session)}, joined=True)
 

@@ -6,7 +6,7 @@ import base64
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,15 +67,10 @@ class MapQuery:
         return cls(kind, min(px, ENCODINGS[encoding]), encoding)
 
 
-@overload
-def query_number(query: Mapping[str, str], key: str, default: int, least: int, most: int) -> int: ...
+Default = TypeVar("Default", int, None)
 
 
-@overload
-def query_number(query: Mapping[str, str], key: str, default: None, least: int, most: int) -> int | None: ...
-
-
-def query_number(query: Mapping[str, str], key: str, default: int | None, least: int, most: int) -> int | None:
+def query_number(query: Mapping[str, str], key: str, default: Default, least: int, most: int) -> int | Default:
     """Return a whole number of a query; ConfigError where it is none, or outside its limits."""
     text = query.get(key)
     if text is None:

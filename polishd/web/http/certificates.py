@@ -7,7 +7,6 @@ import ssl
 import threading
 import time
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,6 +15,7 @@ from cryptography import x509
 from polishd.config.server_sections import CERTIFICATE_WARNING_S, WebSection
 from polishd.config.toml_loader import TomlDocument
 from polishd.model.errors import ConfigError, PolishdError
+from polishd.rendering.terminal import utc_minute
 from polishd.util.files import require_private
 
 log = logging.getLogger(__name__)
@@ -66,7 +66,7 @@ class Certificate:
                 self._problem = f"{error}. The server goes on with the certificate that it has"
             else:
                 if signature != self._seen:
-                    log.warning("%s: a new certificate is in use, valid until %s", self._cert, _day(found[1]))
+                    log.warning("%s: a new certificate is in use, valid until %s", self._cert, utc_minute(found[1]))
                 self._newest, self._expires_s = found
                 self._problem = ""
             self._seen = signature
@@ -76,13 +76,13 @@ class Certificate:
         """Return until when it is valid, the days left, and what is wrong with it; for health."""
         left_s = self._expires_s - self._clock()
         return {
-            "expires": _day(self._expires_s),
+            "expires": utc_minute(self._expires_s),
             "days_left": round(left_s / 86400, 1),
             "wrong": "; ".join(filter(None, (self._problem, self._expiry()))),
         }
 
     def _expiry(self) -> str:
-        left_s, expires = self._expires_s - self._clock(), _day(self._expires_s)
+        left_s, expires = self._expires_s - self._clock(), utc_minute(self._expires_s)
         todo = f"Renew {self._cert} and {self._key.name}; they are taken up without a restart"
         if left_s <= 0:
             return f"the TLS certificate {self._cert} expired on {expires}: browsers and links refuse it. {todo}"
@@ -166,7 +166,3 @@ class CertificateMonitor:
 
 def _no_password() -> str:
     return ""
-
-
-def _day(at_s: float) -> str:
-    return f"{datetime.fromtimestamp(at_s, UTC):%Y-%m-%d %H:%M} UTC"

@@ -112,10 +112,6 @@ def hosts_of(web: WebSection) -> set[str]:
     return {host_name(one) for one in ("localhost", "127.0.0.1", "::1", web.address, *web.hosts)}
 
 
-class BodyRefused(HTTPException):
-    """A body is too large or too slow. It is raised where a handler reads the body."""
-
-
 class RequestGuard:
     """An ASGI application around another one.
 
@@ -148,7 +144,7 @@ class RequestGuard:
 
 
 def _limited(receive: Receive, headers: Headers, most_bytes: int) -> Receive:
-    """Return ``receive`` with limits of size and time until the body has arrived. It raises BodyRefused."""
+    """Return ``receive`` with limits of size and time until the body has arrived. It raises HTTPException."""
     loop = asyncio.get_running_loop()
     began_s, size, is_whole = loop.time(), 0, False
     length = headers.get("content-length", "0")
@@ -159,18 +155,18 @@ def _limited(receive: Receive, headers: Headers, most_bytes: int) -> Receive:
         if is_whole:  # what follows is the end of the connection
             return await receive()
         if max(announced, size) > most_bytes:
-            raise BodyRefused(413, f"the body is more than {most_bytes} bytes")
+            raise HTTPException(413, f"the body is more than {most_bytes} bytes")
         try:
             async with asyncio.timeout_at(began_s + BODY_S + size / LEAST_BYTES_PER_S):
                 message = await receive()
         except TimeoutError:
-            raise BodyRefused(
+            raise HTTPException(
                 408, f"of the body came {size} bytes in {loop.time() - began_s:.0f} s: too slow"
             ) from None
         size += len(message.get("body", b""))
         is_whole = not message.get("more_body", False)
         if size > most_bytes:
-            raise BodyRefused(413, f"the body is more than {most_bytes} bytes")
+            raise HTTPException(413, f"the body is more than {most_bytes} bytes")
         return message
 
     return limited
@@ -265,15 +261,15 @@ async def answered(work: Awaitable[Any]) -> Response:
 
 async def _no_such(_request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
-    said = refusal(status, "there is nothing of that name" if status == 404 else "that cannot be done there")
+    detail = str(getattr(error, "detail", ""))
+    words = {404: "there is nothing of that name", 408: detail, 413: detail}
+    said = refusal(status, words.get(status, "that cannot be done there"))
     said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 lists the allowed methods
     return said
 
 
-async def _body_refused(_request: Request, error: Exception) -> Response:
-    return (
-        refusal(error.status_code, error.detail) if isinstance(error, BodyRefused) else refusal(400, "the body ended")
-    )
+async def _disconnected(_request: Request, _error: Exception) -> Response:
+    return refusal(400, "the connection ended before the body")  # it is not read
 
 
 async def _fault(request: Request, error: Exception) -> Response:
@@ -283,8 +279,7 @@ async def _fault(request: Request, error: Exception) -> Response:
 
 
 HANDLERS: Mapping[Any, Any] = {
-    BodyRefused: _body_refused,
-    ClientDisconnect: _body_refused,  # its answer is not read
+    ClientDisconnect: _disconnected,
     HTTPException: _no_such,
     Exception: _fault,
 }

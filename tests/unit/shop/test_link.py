@@ -507,6 +507,17 @@ def test_the_files_of_a_job_are_removed_after_its_end_and_no_others(rig: Rig, mo
     assert kept() == ["disc"]
 
 
+def test_a_process_without_free_files_ends_no_link(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    def request(*_: Any, **__: Any) -> dict[str, Any]:
+        raise OSError(24, "too many open files")
+
+    monkeypatch.setattr(module.client, "request", request)
+    rig.happens(HELD)
+    rig.link.turn()
+    (report,) = rig.office.of("report")
+    assert "too many open files" in report["now"]["reason"]
+
+
 def test_the_files_of_a_refused_part_are_removed(rig: Rig) -> None:
     rig.happens(HELD)
     rig.office.parts, rig.desk.refuses = ["lens"], ("job.id: 'lens' is done already", ConfigError.exit_code)
