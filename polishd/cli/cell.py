@@ -13,13 +13,13 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
+from polishd.cli.command_group import yield_to_daemon
 from polishd.config.cell import load_config
 from polishd.daemon.assembly import build_notifiers
 from polishd.daemon.notifications.notifications import try_out
 from polishd.model.errors import ConfigError, DeviceFault, LinkError
 from polishd.plugin_loader import DECLARATIONS, load_cell, load_own, plugins_of
 from polishd.rendering.terminal import emit, key_table, outcome_tables, record_table, say, stderr, stdout
-from polishd.util.command_line import yield_to_daemon
 from polishd.util.extras import require_extra
 from polishd.util.threads import run_loop
 

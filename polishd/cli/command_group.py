@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import re
 import shutil
 from functools import partial
@@ -137,3 +138,8 @@ def _shown(param: Any, ctx: Any, *, narrow: bool) -> Any:
         kind = ""
     shown.display_type_rich = lambda **_: kind
     return shown
+
+
+def yield_to_daemon() -> None:
+    """Give the process of this command a lower priority than the daemon, whose loop controls contact."""
+    os.nice(5)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from polishd.cli.command_group import yield_to_daemon
 from polishd.config.server_sections import load_shop
 from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import emit, figure_table, record_table, say, utc_minute
@@ -16,7 +17,7 @@ from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.link import ShopLink
 from polishd.shop.parts import digests, read_part
 from polishd.shop.server import cells_of, people_of, serve
-from polishd.util.command_line import terminal_user, yield_to_daemon
+from polishd.util.command_line import terminal_user
 from polishd.web.http.users import Role, UserFile
 
 

@@ -108,7 +108,7 @@ ROUNDING = 1e-3
 
 
 def map_on_part(surface: SurfaceMap, instrument: Instrument | None, system: SystemMap | None) -> SurfaceMap:
-    """The map in the part's frame, less the instrument's own error where that is known; BadMap as `apply_profile`."""
+    """The map in the part's frame, less the instrument's own error where that is known; MapError as `apply_profile`."""
     lying = apply_profile(surface, instrument)
     return lying if system is None else system.off(lying)
 
@@ -228,7 +228,7 @@ def condition(
     last: Registration | None = None,
     ripple: Ripple = NO_RIPPLE,
 ) -> MeasureResult:
-    """Bring a map onto the process grid and state its figures; BadMap where it cannot be trusted.
+    """Bring a map onto the process grid and state its figures; MapError where it cannot be trusted.
 
     ``masks`` and ``last`` come from earlier maps of the part: its frozen masks, and its last registration. ``ripple``
     is the forecast of all passes that were made: what the map does not show of it counts in the tolerance lines.

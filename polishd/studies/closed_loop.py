@@ -73,7 +73,7 @@ WHOLE = 1e-6
 
 
 def with_absolute_test(recipe: Recipe, plant: PlantProcess, poses: Poses) -> Recipe:
-    """Return the recipe with the system map from those poses. BadMap, ComputeError."""
+    """Return the recipe with the system map from those poses. MapError, ComputeError."""
     lay = [PartPose(*pose) for pose in poses]
     maps = [_measured(recipe, plant, pose) for pose in lay]
     pitch_mm = maps[0].grid.pitch_mm

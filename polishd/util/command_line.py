@@ -42,11 +42,6 @@ def spread_options(command: Callable[..., None]) -> Callable[..., None]:
     return with_record
 
 
-def yield_to_daemon() -> None:
-    """Give this process a lower priority than the daemon, whose loop controls contact."""
-    os.nice(5)
-
-
 # The user at the terminal, whom the journal names with each command.
 
 

@@ -363,7 +363,7 @@ def separate_instrument(
         place: how well the poses are known; None: exactly.
 
     Raises:
-        BadMap: maps of other sizes, or too few; poses that are all alike; angles of the wrong sense; too little in
+        MapError: maps of other sizes, or too few; poses that are all alike; angles of the wrong sense; too little in
             common to tell the noise.
     """
     _require_alike(heights_nm, poses)

@@ -59,7 +59,7 @@ def average_maps(surfaces: Sequence[SurfaceMap], removal: Removal = "tilt", *, m
         mixed: they may have no pitch, and be of several instruments.
 
     Raises:
-        BadMap: one file that is there twice; fewer than ``FEWEST`` maps, before or after the rejection; shapes or
+        MapError: one file that is there twice; fewer than ``FEWEST`` maps, before or after the rejection; shapes or
             pitches that differ; no sample that all have; unless ``mixed``, a map without pitch, or of another
             instrument than the first that names one.
     """
@@ -111,7 +111,7 @@ def _require_one_setup(surfaces: Sequence[SurfaceMap]) -> None:
 
 
 def _require_measured_each(surfaces: Sequence[SurfaceMap]) -> None:
-    """BadMap where one measurement is there twice: what is alike by being the same would pass for sure."""
+    """MapError where one measurement is there twice: what is alike by being the same would pass for sure."""
     seen: dict[str, str] = {}
     for name, surface in zip(_names(surfaces), surfaces, strict=True):
         before = seen.setdefault(surface.sha256, name) if surface.sha256 else name

@@ -210,7 +210,7 @@ def prove_profile(surface: SurfaceMap, bumps: Sequence[ArtefactBump]) -> Profile
         bumps: the artefact.
 
     Raises:
-        BadMap: it does not; what it shows instead is named, with the profile's values that would mend it.
+        MapError: it does not; what it shows instead is named, with the profile's values that would mend it.
         ConfigError: the artefact is symmetric.
     """
     require_asymmetric(bumps)

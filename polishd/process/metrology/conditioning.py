@@ -73,7 +73,7 @@ def condition(
         registration: where the part lies in the map; None: its centre is the centre of the map's array.
 
     Raises:
-        BadMap: no lateral scale, no data, a map smaller than the aperture, too few samples or too many holes in it,
+        MapError: no lateral scale, no data, a map smaller than the aperture, too few samples or too many holes in it,
             or masks of another grid.
         WrongPart: data over much more than the aperture.
     """
@@ -156,7 +156,7 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
         (ny, nx) without NaN; data are untouched.
 
     Raises:
-        BadMap: there are no data at all.
+        MapError: there are no data at all.
     """
     hole = ~np.isfinite(height_nm)
     if hole.all():
@@ -294,7 +294,7 @@ def clean_map(surface: SurfaceMap, mads: float) -> tuple[SurfaceMap, int]:
     """The map without spikes and islands, and the number of spikes; ``mads`` = 0 leaves it as it is.
 
     Raises:
-        BadMap: see ``remove_spikes``.
+        MapError: see ``remove_spikes``.
     """
     if not mads:
         return surface, 0
@@ -314,7 +314,7 @@ def remove_spikes(height_nm: FloatArray, mads: float = SPIKE_MADS, most: float =
         (ny, nx) the map, without data where spikes were, grown by a pixel on all sides; number of spikes before that.
 
     Raises:
-        BadMap: no data, data that tell no Zernike terms apart, or more spikes than ``most``.
+        MapError: no data, data that tell no Zernike terms apart, or more spikes than ``most``.
         ValueError: a threshold that is not positive.
     """
     if not mads > 0:

@@ -39,7 +39,7 @@ def apply_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly:
         ``factors["profile"]``.
 
     Raises:
-        BadMap: as `require_profile` does.
+        MapError: as `require_profile` does.
     """
     require_profile(surface, instrument, partly=partly)
     surface = resample_square(surface)
@@ -70,7 +70,7 @@ def apply_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly:
 
 
 def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly: bool = False) -> None:
-    """BadMap where a profile, or none, cannot be applied to a map: asked before anybody waits for its answer.
+    """MapError where a profile, or none, cannot be applied to a map: asked before anybody waits for its answer.
 
     What the file does not say the profile does not either (no matter where ``partly``), they contradict each other, the
     map is of another instrument, or a profile was applied before, to the map or to one that it was made of. Nor is a
@@ -94,7 +94,7 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
 
 
 def require_complete(surface: SurfaceMap, instrument: Instrument) -> None:
-    """BadMap where neither the map, nor the profile, says all that polishing takes of it."""
+    """MapError where neither the map, nor the profile, says all that polishing takes of it."""
     name = surface.path.name if surface.path is not None else "the map"
     unanswered = sorted(_asked(surface) - _answered(instrument))
     if unanswered:

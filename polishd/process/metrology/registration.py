@@ -74,7 +74,7 @@ def fit_marks(
         tolerance_mm: how far a mark may lie from where the fit has it.
 
     Raises:
-        BadMap: too few marks fit, more than one placement fits, or the marks are those of a mirrored or scaled part.
+        MapError: too few marks fit, more than one placement fits, or the marks are those of a mirrored or scaled part.
         ConfigError: the nominal marks are too few, or symmetric.
     """
     require_asymmetric(nominal_mm, tolerance_mm)
@@ -352,7 +352,7 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
         tolerance_mm: how far the diameter may be off.
 
     Raises:
-        BadMap: an outline that is no circle, another diameter, or too little of the rim in sight.
+        MapError: an outline that is no circle, another diameter, or too little of the rim in sight.
     """
     x, y = rim_px(height_nm)
     require_rim(x)
@@ -385,7 +385,7 @@ def fit_circle(height_nm: FloatArray, pitch_mm: float, diameter_mm: float, toler
 
 
 def require_rim(x: FloatArray) -> None:
-    """BadMap unless so many samples of a rim (n,) can place a part."""
+    """MapError unless so many samples of a rim (n,) can place a part."""
     if x.size < SECTORS:
         raise MapError(f"the map shows {x.size} samples of the part's rim, too few to place it: the part fills the "
                      "frame, or hardly has data; register by fiducials, or measure with the rim in view")  # fmt: skip
@@ -465,7 +465,7 @@ def fit_polygon(height_nm: FloatArray, pitch_mm: float, part: Polygon, tolerance
         tolerance_mm: how much larger or smaller across it may be.
 
     Raises:
-        BadMap: another outline, or too little of the rim in sight to say where the part lies.
+        MapError: another outline, or too little of the rim in sight to say where the part lies.
     """
     x, y = rim_px(height_nm)
     require_rim(x)
@@ -539,7 +539,7 @@ def register(
         last: the last map's registration of the same part; None: no drift is judged.
 
     Raises:
-        BadMap: nothing to register by, or the part lies too far off, too far turned, or has moved too much.
+        MapError: nothing to register by, or the part lies too far off, too far turned, or has moved too much.
         ConfigError: the profile's fiducials are too few, or symmetric.
     """
     if instrument is None or instrument.register_by == "none":

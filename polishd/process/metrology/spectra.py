@@ -126,7 +126,7 @@ def radial_psd(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, window: 
         window: what lies outside the mask.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
         ValueError: no such window.
     """
     half, shape = _density(height_nm, mask, pitch_mm, window)
@@ -198,7 +198,7 @@ def surface_stats(
         band_period_mm: the same for ``band_rms_nm``; None where the whole surface counts.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
     """
     values = samples_inside(height_nm, mask)
     return SurfaceStats(
@@ -240,7 +240,7 @@ def split_bands(
         mean is in the first.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
         ValueError: edges that do not fall, or are not positive.
     """
     edges = np.asarray(edges_mm, dtype=np.float64)
@@ -348,7 +348,7 @@ def compare_maps(
         edges_mm: periods between the bands, falling.
 
     Raises:
-        BadMap: the mask is empty, has another shape, or a surface is not finite inside it.
+        MapError: the mask is empty, has another shape, or a surface is not finite inside it.
         ValueError: edges that do not fall, or are not positive.
     """
     before, after = (surface_figures(height, mask, pitch_mm, edges_mm) for height in (before_nm, after_nm))

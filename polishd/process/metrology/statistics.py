@@ -22,7 +22,7 @@ def pv_rms(height_nm: FloatArray, mask: BoolArray) -> tuple[float, float]:
     """Highest less lowest sample inside the mask, and RMS there about the mean, both in nm. Nothing else is removed.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
     """
     values = samples_inside(height_nm, mask)
     return float(np.ptp(values)), float(values.std())
@@ -47,7 +47,7 @@ def remove_terms(height_nm: FloatArray, mask: BoolArray, removal: Removal) -> Fl
     """(ny, nx) the surface less the least-squares fit of these terms over the mask; NaN outside the mask.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
         ValueError: no such removal.
     """
     samples_inside(height_nm, mask)
@@ -127,7 +127,7 @@ def samples_inside(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
     """(m,) the samples inside the mask.
 
     Raises:
-        BadMap: another shape than the mask's, an empty mask, or samples in it that have no data.
+        MapError: another shape than the mask's, an empty mask, or samples in it that have no data.
     """
     if height_nm.shape != mask.shape:
         raise MapError(f"the surface is {height_nm.shape}, its mask {mask.shape}")
@@ -170,7 +170,7 @@ def slope(height_nm: FloatArray, mask: BoolArray, pitch_mm: float, integration_m
         integration_mm: the length wanted; the nearest even number of pitches is taken, and at least two (None).
 
     Raises:
-        BadMap: the surface is not finite inside the mask, or the mask nowhere as wide as the length.
+        MapError: the surface is not finite inside the mask, or the mask nowhere as wide as the length.
         ValueError: a length that is not positive.
     """
     x, y, reach = _differences(height_nm, mask, pitch_mm, integration_mm)

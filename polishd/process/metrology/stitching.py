@@ -235,7 +235,7 @@ def stitch(maps: Sequence[SubAperture], pitch_mm: float, *, power: bool = False,
         shift: fit a shift of each map but the first, up to some pixels (Gauss-Newton).
 
     Raises:
-        BadMap: fewer than two; maps that do not overlap; overlaps that do not tell the unknowns.
+        MapError: fewer than two; maps that do not overlap; overlaps that do not tell the unknowns.
     """
     if len(maps) < 2:
         raise MapError("one sub-aperture is nothing to stitch: name two or more that overlap")

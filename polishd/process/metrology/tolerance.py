@@ -64,7 +64,7 @@ def irregularity(
         centre_px: (row, column) of the part's axis; None for the middle of the mask's box.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
     """
     samples_inside(height_nm, mask)
     row, column, _ = zernike.enclosing_circle(mask)
@@ -180,7 +180,7 @@ def judge_lines(
         ripple: forecast of the passes whose lines are on the surface, none of which is subtracted from the map.
 
     Raises:
-        BadMap: a line counts what a map of this pitch cannot show, or the mask is empty.
+        MapError: a line counts what a map of this pitch cannot show, or the mask is empty.
     """
     surface = _Surface(height_nm, mask, pitch_mm)
     found = []
@@ -406,7 +406,7 @@ def subtract_nominal(surface: SurfaceMap, nominal: SurfaceMap, lies: Registratio
         The map on its own samples; NaN where the form says nothing.
 
     Raises:
-        BadMap: either has no pitch.
+        MapError: either has no pitch.
     """
     if surface.pitch_mm is None or nominal.pitch_mm is None:
         raise MapError(f"{nominal.path or 'the nominal form'}: it and the map need a lateral scale to be compared")

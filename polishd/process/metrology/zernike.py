@@ -250,8 +250,8 @@ def fit(
         circle_px: (row, column, radius) of the unit circle; None for the least that ``enclosing_circle`` finds.
 
     Raises:
-        BadMap: the surface is not finite inside the mask, there are fewer samples than terms, or the mask's shape does
-            not tell the terms apart (condition above ``WORST_CONDITION``).
+        MapError: the surface is not finite inside the mask, there are fewer samples than terms, or the mask's shape
+            does not tell the terms apart (condition above ``WORST_CONDITION``).
         ValueError: no such ordering, no terms, or a circle without radius.
     """
     heights = samples_inside(height_nm, mask)
@@ -321,7 +321,7 @@ def pvr(height_nm: FloatArray, mask: BoolArray, terms: int = 36) -> Pvr:
         terms: Zernike terms in fringe order, piston counted. Some programs take 37.
 
     Raises:
-        BadMap: as ``fit``.
+        MapError: as ``fit``.
     """
     fitted = fit(height_nm, mask, terms, "fringe")
     pv = float(np.ptp(surface(fitted, mask)[mask]))
@@ -332,7 +332,7 @@ def enclosing_circle(mask: BoolArray) -> tuple[float, float, float]:
     """(row, column, radius) in pixels of a circle around a mask: the middle of its box, out to its furthest sample.
 
     Raises:
-        BadMap: an empty mask.
+        MapError: an empty mask.
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if rows.size == 0:

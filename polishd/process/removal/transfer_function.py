@@ -101,7 +101,7 @@ def correctable_surface(
         of: the spot's transfer function.
 
     Raises:
-        BadMap: the mask is empty, or the surface not finite inside it.
+        MapError: the mask is empty, or the surface not finite inside it.
     """
     above, below = split_bands(height_nm, mask, pitch_mm, (of.cutoff_period_mm,))
     return CorrectablePeriods(

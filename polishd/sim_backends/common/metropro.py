@@ -68,7 +68,7 @@ def pack(data: DatMap) -> bytes:
 
 
 def unpack(data: bytes, name: str = "map") -> DatMap:
-    """Parse a complete file. BadMap names the problem."""
+    """Parse a complete file. MapError names the problem."""
     if len(data) < HEADER or struct.unpack_from(">I", data)[0] not in MAGICS:
         raise MapError(f"{name}: not a MetroPro file")
     (header,) = struct.unpack_from(">i", data, 6)
