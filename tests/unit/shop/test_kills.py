@@ -94,6 +94,10 @@ class Marked:
         marked = self._all or sql in {"BEGIN IMMEDIATE", "COMMIT"}
         return (self._steps.around(execute) if marked else execute)(sql, *values)
 
+    @property
+    def in_transaction(self) -> bool:
+        return self._connection.in_transaction
+
     def close(self) -> None:
         self._connection.close()
 
