@@ -107,9 +107,17 @@ def _prepare(command: Any) -> None:
             one.help = _MARKUP.sub(r"\\[", text)
     for param in command.params:
         param.shell_complete = partial(complete, param)
+        param.process_value = partial(_process_value, param)
     command.format_help = partial(_format_help, command)
     for below in getattr(command, "commands", {}).values():
         _prepare(below)
+
+
+def _process_value(param: Any, ctx: Any, value: Any) -> Any:
+    """See TyperOption. BadParameter for a file or folder with an empty name, which would be the present folder."""
+    if param.type_descriptor.is_path and "" in (value if isinstance(value, (list, tuple)) else [value]):
+        raise typer.BadParameter("the name is empty; name a file or folder", ctx=ctx, param=param)
+    return type(param).process_value(param, ctx, value)
 
 
 def _format_help(command: Any, ctx: Any, _formatter: Any) -> None:

@@ -397,20 +397,20 @@ def edges_mm(text: str) -> tuple[float, ...]:
     return edges
 
 
-def require_picture(out: Path | None) -> None:
+def require_picture(out: Path | None, option: str = "--out") -> None:
     """ConfigError where the picture cannot be written, or does not end in ``.png``: it could be a map."""
     if out is None:
         return
     if out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a picture is a PNG file; name it *.png")
-    require_writable_file(out)
+    require_writable_file(out, option)
 
 
-def draw(out: Path, picture: bytes, *, as_json: bool) -> None:
+def draw(out: Path, picture: bytes, option: str = "--out", *, as_json: bool) -> None:
     """Write the PNG, and print its name for people."""
     from polishd.rendering.plots import save_picture
 
-    save_picture(out, picture)
+    save_picture(out, picture, option)
     if not as_json:
         stdout.print(f"drawn in {printable(out)}", markup=False)
 

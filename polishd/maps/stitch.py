@@ -57,7 +57,12 @@ def stitch_verb(files: Sequence[Path], asked: StitchOptions, *, as_json: bool) -
     if asked.picture is not None:
         from polishd.maps.pictures import stitch_picture
 
-        draw(asked.picture, stitch_picture(found.height_nm, found.uncertainty_nm, found.maps, pitch), as_json=as_json)
+        draw(
+            asked.picture,
+            stitch_picture(found.height_nm, found.uncertainty_nm, found.maps, pitch),
+            "--picture",
+            as_json=as_json,
+        )
 
 
 def _free(text: str) -> tuple[str, ...]:
@@ -74,7 +79,7 @@ def _require_targets(files: Sequence[Path], asked: StitchOptions, source: MapSou
         require_target(target, files, source, force=asked.force)
     if len({target.absolute() for target in targets}) < len(targets):
         raise ConfigError(f"{asked.out}: is named by --out and --uncertainty; name two files")
-    require_picture(asked.picture)
+    require_picture(asked.picture, "--picture")
 
 
 def require_lines(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:

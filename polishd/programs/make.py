@@ -210,7 +210,9 @@ def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
         file.write(text)
         if options.picture is not None:
             normals = unit_normals(made.optic, made.points_mm[:, :2])
-            save_picture(options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)))
+            save_picture(
+                options.picture, path_picture(made.points_mm, normals, made.aperture, _title(options)), "--picture"
+            )
 
 
 def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:

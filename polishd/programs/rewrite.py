@@ -33,6 +33,10 @@ _PIECE = 1 << 20
 _PLAIN = b"0123456789+-.eE \t\r\n"
 
 
+LONGEST_S = 1e6
+"""A longer dwell at one point (11 days) is a mistake: milliseconds, or a total."""
+
+
 class DwellTable:
     """Rows of a table of dwells, read in order and in blocks, to limit the memory."""
 
@@ -52,6 +56,12 @@ class DwellTable:
         self.total_s += math.fsum(rows)
         return rows
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is odd about the rows that were taken."""
+        none = f"{self.path}: all {self._taken} rows are 0 s: the new program removes nothing"
+        return () if self.total_s else (none,)
+
     def finish(self) -> None:
         """ProgramError where there are more rows."""
         if next(self._rows, None) is not None:
@@ -67,7 +77,7 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
     """Read the rows of a table of dwells, s, as arrays of (k,), in order. Lines end in LF or CRLF.
 
     Raises:
-        ProgramError: The file cannot be read, or a row is not one number of seconds, 0 or more; names the row.
+        ProgramError: The file cannot be read, or a row is not one number of seconds, 0 to ``LONGEST_S``; names the row.
     """
     done = 0
     try:
@@ -89,7 +99,7 @@ def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
     """Numbers of some rows; ``before`` rows precede them."""
     with suppress(ValueError):  # the error is located below
         values = np.array(list(map(float, rows)), dtype=np.float64) + 0.0  # no -0.0
-        if not b"".join(rows).translate(None, _PLAIN) and np.isfinite(values).all() and (values >= 0).all():
+        if not b"".join(rows).translate(None, _PLAIN) and (values >= 0).all() and (values <= LONGEST_S).all():
             return values
     for number, row in enumerate(rows, before + 1):
         reason = _reason(row, number)
@@ -116,6 +126,8 @@ def _reason(row: bytes, number: int) -> str | None:
         return "is not finite"
     if value < 0:
         return "is below zero"
+    if value > LONGEST_S:
+        return f"asks for more than {LONGEST_S:.0f} s ({LONGEST_S / 86400:.0f} days) at one point"
     return "is not a plain number" if text.translate(None, _PLAIN) else None
 
 
@@ -137,6 +149,7 @@ class RewriteResult:
     """Number of requested times; fewer than points where moves without a dwell now carry their time, too."""
     asked_total_s: float
     dwell_total_s: float
+    warnings: tuple[str, ...] = ()
 
 
 def rewrite_file(
@@ -202,7 +215,9 @@ def _streamed(
         sink = cast(BinaryIO, _Marked(target, mark)) if mark else target
         passed = rewrite_stream(dialect, source, file.name, table, sink, progress=progress)
         found = scan_program(dialect, target, out.name)
-    return RewriteResult((out,), passed.encoding, found.points, found.points, table.total_s, found.time_s)
+    return RewriteResult(
+        (out,), passed.encoding, found.points, found.points, table.total_s, found.time_s, table.warnings
+    )
 
 
 def _held(
@@ -231,7 +246,9 @@ def _held(
     written = program.encoding if encoding is None else encoding
     if isinstance(dialect, GcodeDialect) and written == "time":
         written = "inverse"
-    return RewriteResult(tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s)
+    return RewriteResult(
+        tuple(outs), written, proof.points, program.n, table.total_s, proof.time_after_s, table.warnings
+    )
 
 
 @contextmanager

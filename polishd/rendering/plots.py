@@ -116,9 +116,9 @@ def ruled(axes: Axes, axis: str = "y") -> None:
         axes.yaxis.grid(visible=True)
 
 
-def save_picture(path: Path, picture: bytes) -> None:
-    """Write a PNG; ConfigError if it cannot be written."""
+def save_picture(path: Path, picture: bytes, option: str = "--out") -> None:
+    """Write a PNG; ConfigError if it cannot be written. ``option``: the option that named it."""
     try:
         write_atomic(path, picture)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}. Name another file with --out.") from error
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}. Name another file with {option}.") from error

@@ -23,6 +23,9 @@ from polishd.plugins.rnc_robot.languages.statements import MatchedStatement, Pro
 def take_position(found: Scan, statement: MatchedStatement) -> None:
     """Keep a declared position; ProgramError where the program declares it twice, or moved to another value of it."""
     name = statement.text("target") or ""
+    if found.section != found.profile.position_section:
+        take_unread_position(found, statement)
+        return
     if found.folded(name) in found.positions:
         number = found.positions.number[found.folded(name)]
         if number >= found.positions_beside:
@@ -37,7 +40,14 @@ def take_position(found: Scan, statement: MatchedStatement) -> None:
     context: Context = statement.text("tool"), statement.text("frame")
     if found.profile.modal_positions:
         context = context_at(found, statement)
+    found.declared += 1
     found.positions.add(found.folded(name), place_of(found, statement), statement.line, context)
+
+
+def take_unread_position(found: Scan, statement: MatchedStatement) -> None:
+    """Keep the name of a position that is declared, but not in mm and angles of the tool."""
+    found.declared += 1
+    found.unread[found.folded(statement.text("target") or "")] = statement.line, found.section
 
 
 def take_speed(found: Scan, statement: MatchedStatement) -> None:

@@ -456,7 +456,7 @@ def _whole_line(data: bytes, start: int, end: int) -> tuple[int, int] | None:
 
 def _renumbered(old: Scan, text: bytes) -> bytes:
     """The new text with its lines numbered as the old one's are, and with their count in its head."""
-    profile, rules = old.profile, old.profile.move_time
+    profile = old.profile
     if not any("n" in pattern.regex.groupindex for pattern in profile.patterns):
         return text
     beside = old.source.beside
@@ -465,18 +465,22 @@ def _renumbered(old: Scan, text: bytes) -> bytes:
         int(before.source.data[slice(*span)] or b"0") for line in before.kept or () for span in _number_spans(line)
     ]
     first, step = (written[0], max(written[1] - written[0], 1)) if len(written) > 1 else (1, 1)
-    found, edits, number = scan(profile, text, old.source.name, beside, keep=True), list[TextEdit](), count(first, step)
+    found = scan(profile, text, old.source.name, beside, keep=True, draft=True)
+    edits, number, numbered = list[TextEdit](), count(first, step), 0
     for statement in found.kept or ():
         for low, high in _number_spans(statement):
-            digits = str(next(number))
+            digits, numbered = str(next(number)), numbered + 1
             if low < high:
                 more = min(max(len(digits) - (high - low), 0), low - _blank_from(text, low))
                 edits.append(TextEdit(low - more, high, digits.rjust(high - low + more).encode()))
-    if rules is not None and rules.numbered_lines:
-        head = re.search(rules.numbered_lines.encode(), text)
-        if head is not None:
-            edits.insert(0, TextEdit(*head.span(1), str(next(number) - step).encode()))
-    return spliced(text, edits)
+    return spliced(text, [*line_count(profile, text, numbered), *edits])
+
+
+def line_count(profile: LanguageProfile, text: bytes, numbered: int) -> list[TextEdit]:
+    """The head's count of numbered lines, where it has one, as ``numbered``."""
+    regex = profile.move_time.numbered_lines if profile.move_time is not None else ""
+    head = re.search(regex.encode(), text) if regex else None
+    return [] if head is None else [TextEdit(*head.span(1), str(numbered).encode())]
 
 
 def _number_spans(statement: MatchedStatement) -> list[tuple[int, int]]:
@@ -502,14 +506,9 @@ def timeless_lines(found: Scan, *, recoded: bool) -> list[tuple[int, bytes]]:
     ``recoded``: without its waits and the numbers of its lines, too.
     """
     edits = [*_timing_of_moves(found), *_timing_statements(found, recoded=recoded)]
-    rules, data = found.profile.move_time, found.source.data
-    if (
-        recoded
-        and rules is not None
-        and rules.numbered_lines
-        and (head := re.search(rules.numbered_lines.encode(), data))
-    ):
-        edits.append(TextEdit(*head.span(1), TIME))
+    data = found.source.data
+    if recoded:
+        edits += [TextEdit(head.start, head.end, TIME) for head in line_count(found.profile, data, 0)]
     lines, number, at = list[tuple[int, bytes]](), 1, 0
     open_line, began = b"", 1
     for edit in [*sorted(edits, key=lambda edit: (edit.start, edit.end)), TextEdit(len(data), len(data), b"")]:

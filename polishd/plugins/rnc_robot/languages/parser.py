@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from polishd.plugins.rnc_robot.gcode.refusals import refuse_byte_order_mark
 from polishd.plugins.rnc_robot.languages.columns import NONE, StatedBy
@@ -11,6 +12,7 @@ from polishd.plugins.rnc_robot.languages.declarations import (
     take_declarations_beside,
     take_position,
     take_speed,
+    take_unread_position,
 )
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.program_scan import (
@@ -38,6 +40,7 @@ def scan(
     *,
     keep: bool = False,
     keep_columns: bool = False,
+    draft: bool = False,
 ) -> Scan:
     """Read a program through. ProgramError where it may mean several things.
 
@@ -48,6 +51,7 @@ def scan(
         beside: content of the file beside it that declares its positions.
         keep: keep all its statements, too.
         keep_columns: keep the columns of all its motions, although dwells carry the time.
+        draft: its lines are not numbered yet, and its head does not count them yet.
     """
     refuse_byte_order_mark(text, name)
     found = Scan(profile, ProgramSource(text, name, beside), [] if keep else None, keep_columns=keep_columns)
@@ -63,13 +67,53 @@ def scan(
         found.line = statement.line
         if statement.kind not in {"begin", "end"} and found.counted != statement.line:
             found.counted, found.body_lines = statement.line, found.body_lines + 1
+        if (number := statement.match.re.groupindex.get("n")) is not None:
+            found.numbers.add(statement.line, statement.match[number])
         _TAKE[statement.kind](found, statement)
     unfinished = "finish" in profile.kinds and not found.finished
     if found.line and (unfinished or found.routine is not None):
         raise found.refuse_line(found.line, "the program breaks off: its end is missing", "check that it is whole")
     _check_calls(found)
     _leave_bare(found)
+    if not draft:
+        _check_numbers(found)
+        _check_counts(found)
     return found
+
+
+def _check_numbers(found: Scan) -> None:
+    """ProgramError at the first line whose number does not rise, where a number is an address."""
+    if not found.profile.rising_numbers or found.numbers.falls is None:
+        return
+    line, number, before, highest = found.numbers.falls
+    same = f"the line number {number} a second time (the first is in line {before})"
+    raise found.refuse_line(
+        line,
+        same if number == highest else f"the line number {number} behind {highest} (in line {before})",
+        "check that the file is whole and not two files mixed, and have it posted again with rising line numbers",
+    )
+
+
+def _check_counts(found: Scan) -> None:
+    """ProgramError where a count in the head contradicts the program: it is torn, or mixed of two."""
+    rules, lines = found.profile.move_time, found.numbers
+    if rules is not None:
+        _check_count(found, rules.numbered_lines, {lines.lines, lines.numbered}, "numbered lines")
+    _check_count(found, found.profile.position_count, {found.declared}, "positions")
+
+
+def _check_count(found: Scan, regex: str, counted: set[int], what: str) -> None:
+    head = re.search(regex.encode(), found.source.data) if regex else None
+    if head is None:
+        return
+    stated = sum(map(int, re.findall(rb"[0-9]+", head[1])))
+    if stated and stated not in counted:
+        raise found.refuse_line(
+            found.source.data.count(b"\n", 0, head.start(1)) + 1,
+            f"the head counts {stated} {what}, the program has {max(counted)}",
+            "check that the file is whole and not two files mixed, and have it posted again; if it is right, correct "
+            "the count, or write 0",
+        )
 
 
 def _move(found: Scan, statement: MatchedStatement) -> None:
@@ -85,6 +129,8 @@ def _move(found: Scan, statement: MatchedStatement) -> None:
         stated.number * stated.factor if stated.by > StatedBy.TIME else math.nan,
         context_at(found, statement),
     )
+    if target is not None and found.folded(target) in found.unread and move.target not in found.positions:
+        raise found.refuse(statement, *found.why_unread(target))
     if target is not None and found.profile.declare_before_use and move.target not in found.positions:
         raise found.refuse(statement, f"the position {target} is not declared before its use", found.undeclared)
     _keep_motion(found, statement, move, stated)
@@ -223,6 +269,10 @@ def _neutral(found: Scan, statement: MatchedStatement) -> None:
         text = statement.text(name)
         if text is not None:
             found.modal[name] = text
+    if (section := statement.text("section")) is not None:
+        found.section = section
+    if statement.text("target") is not None:
+        take_unread_position(found, statement)
     if (zone := statement.text("zone")) is not None:
         found.zones[name_of_feed(found, statement)] = zone
     if (override := statement.text("override")) is not None:

@@ -196,7 +196,7 @@ class MoveTime(_Strict):
     first_number: int = Field(1, ge=0, le=1)
     """Number of the first line, where lines are numbered."""
     numbered_lines: str = ""
-    """Regular expression of the head's count of numbered lines, the count in a group."""
+    """Regular expression of the head's count of numbered lines, the count in a group. A count of 0 is not compared."""
 
     @model_validator(mode="after")
     def _sound(self) -> MoveTime:
@@ -298,6 +298,7 @@ class Statements(_Strict):
     """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves.
 
     ``feed`` and ``zone`` hold for the moves behind it that state none; with ``feed_of`` for those of that name.
+    ``target``: a position that is declared in a way that is not read. ``section``: see ``position_section``.
     """
     begin: Templates = []
     end: Templates = []
@@ -362,6 +363,15 @@ class LanguageProfile(_Strict):
     modal_positions: bool = False
     """The tool and the frame that were set last hold for a declared position."""
     declare_before_use: bool = False
+    position_section: str = ""
+    """What the field ``section`` of the last neutral statement that has one must hold for the declared positions behind
+    it to be in ``unit_mm`` and degrees; others are known, and no move may use them. Empty: there are no sections."""
+    position_count: str = ""
+    """Regular expression of the head's count of declared positions, or of its counts by kind with commas between them,
+    in a group. Counts of 0 are not compared."""
+    rising_numbers: bool = False
+    """The number of a line is its address: numbers (``n``) that do not rise are refused; no number and 0 count for
+    none."""
     line_limit: int = Field(0, ge=0, le=1_000_000_000)
     """Lines of a routine that the controller takes; 0: any number."""
     orientation: OrientationNotation
@@ -398,6 +408,8 @@ class LanguageProfile(_Strict):
                 raise ValueError(f"statements.{pattern.kind}: a template fits where nothing is written")
         if "move" not in self.kinds or not self.kinds & {"dwell", "dwell_in_position"}:
             raise ValueError("statements: a language needs a move and a dwell")
+        if self.position_count and re.compile(self.position_count.encode()).groups != 1:
+            raise ValueError("position_count: needs one group")
         if self.move_time is not None and self.move_time.speed_unit not in self.feed_units_mm_min:
             raise ValueError(f"move_time.speed_unit: {self.move_time.speed_unit!r} is none of feed_units_mm_min")
         return self

@@ -19,7 +19,7 @@ import numpy as np
 from polishd.api import Program, ProgramError
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.languages.columns import StatedBy, numbers, tool_axis
-from polishd.plugins.rnc_robot.languages.move_times import feed_unit, rewrite_moves, styled
+from polishd.plugins.rnc_robot.languages.move_times import feed_unit, line_count, rewrite_moves, spliced, styled
 from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.program_scan import Scan
@@ -283,6 +283,8 @@ def _part(found: Scan, body: Sequence[MatchedStatement], cut: _Cut, number: int)
     renamed = begin.match.end("program")
     head = _positions(found, 0, renamed, kept) + (b"_%d" % number if number > 1 else b"")
     head += _positions(found, renamed, body_start, kept)
+    numbered = sum("n" in statement.match.re.groupindex for statement in [*cut.repeated, *cut.own])
+    head = spliced(head, line_count(found.profile, head, numbered))
     start, end = _line_start(data, cut.own[0].match.start()), _line_end(data, cut.own[-1].match.end())
     numbers = iter(range(1, len(body) + 1)) if number > 1 else None
     repeated = [

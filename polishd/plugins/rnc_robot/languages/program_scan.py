@@ -61,6 +61,31 @@ class StatedTime:
 
 
 @dataclass(slots=True)
+class LineNumbers:
+    """The numbers of a program's lines, as far as it is read."""
+
+    lines: int = 0
+    """Lines that have a number or may have one."""
+    numbered: int = 0
+    """Those that have one."""
+    highest: int = 0
+    at: int = 0
+    """The program's line that has this number."""
+    falls: tuple[int, int, int, int] | None = None
+    """Line and number of the first whose number does not rise, and line and number of the one before it."""
+
+    def add(self, line: int, written: bytes) -> None:
+        """One more line, with its number; empty: none."""
+        number = int(written or b"0")
+        self.lines += 1
+        self.numbered += bool(written)
+        if number and number <= self.highest and self.falls is None:
+            self.falls = line, number, self.at, self.highest
+        if number:
+            self.highest, self.at = number, line
+
+
+@dataclass(slots=True)
 class Scan:
     """A whole program: its points as columns, the rest counted."""
 
@@ -75,6 +100,13 @@ class Scan:
     positions: Positions = field(default_factory=Positions)
     positions_beside: int = 0
     """So many of these, the first ones, are declared in the file beside the program."""
+    section: str = ""
+    """What the last statement that begins a section of declared positions said."""
+    unread: dict[str, tuple[int, str]] = field(default_factory=dict)
+    """Line and section of positions that are declared in a way that is not read, by name."""
+    declared: int = 0
+    """Statements that declare a position."""
+    numbers: LineNumbers = field(default_factory=LineNumbers)
     used: set[str] = field(default_factory=set)
     """Names of positions that motions lead to, where some are declared in the file beside the program."""
     named_contexts: dict[str, Context] = field(default_factory=dict)
@@ -137,6 +169,16 @@ class Scan:
         return (
             POSTED if rules is None else f"put the {rules.ending} file that declares it beside the program, or {POSTED}"
         )
+
+    def why_unread(self, name: str) -> tuple[str, str]:
+        """Why no move may lead to a declared position that is not among ``positions``, and what to do."""
+        wanted, (line, section) = self.profile.position_section, self.unread[self.folded(name)]
+        if not wanted or section == wanted:
+            return f"the position {name} (line {line}) is not written as x, y, z and angles", POSTED
+        where = f"is in pulses or angles of the axes (line {line}, under ///{section})"
+        if not section:
+            where = f"has no unit (line {line}): no ///{wanted} stands before it"
+        return f"the position {name} {where}", f"have it posted with its positions in mm, under ///{wanted}"
 
     def folded(self, name: str) -> str:
         """A name as the language compares it; of an array of the file beside the program, the first element is its."""

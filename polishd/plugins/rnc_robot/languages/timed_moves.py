@@ -102,6 +102,8 @@ def _require_one_context(found: Scan, points: PointColumns | MoveColumns, wanted
         )
     if lost < len(points):
         name = points.targets.values()[points.target[lost]]
+        if found.folded(name) in found.unread:
+            raise found.refuse_line(points.move_line[lost], *found.why_unread(name))
         raise found.refuse_line(
             points.move_line[lost], f"the position {name} is not declared as a constant in this file", found.undeclared
         )

@@ -326,7 +326,7 @@ HEAD = {
     "krl": b"DEF M()\nXP1={X 1,Y 0,Z 0,A 0,B 0,C 180}\n$VEL.CP=0.1\n",
     "fanuc-tp": b"/PROG M\n/ATTR\n/MN\n",
     "urscript": b"def m():\n  p1 = p[0.001, 0, 0, 3.1415926, 0, 0]\n  set_tcp(p[0,0,0,0,0,0])\n",
-    "inform": b"//NAME M\n///TOOL 1\nC00001=1.000,0.000,0.000,180.0,0.0,0.0\n",
+    "inform": b"//NAME M\n///RECTAN\nC00001=1.000,0.000,0.000,180.0,0.0,0.0\n",
     "val3": b"begin\np1.trsf={1,0,0,180,0,0}\nmPol.tvel=100\n",
     "heidenhain": b"0 BEGIN PGM M MM\n1 TOOL CALL 1 Z\n2 M3\n",
     "melfa-basic": b"Ovrd 100\nP1=(1,0,0,180,0,0)(7,0)\nSpd 100\n",
@@ -336,7 +336,7 @@ HEAD = {
 MOVE = {
     "rapid": b"MoveL p1,v100,fine,tool0;\n",
     "krl": b"LIN XP1\n",
-    "fanuc-tp": b"   1:L P[1] 100mm/sec FINE ;\n",
+    "fanuc-tp": b"    :L P[1] 100mm/sec FINE ;\n",
     "urscript": b"  movel(p1, a=1.2, v=0.1)\n",
     "inform": b"MOVL C00001 V=100.0 PL=0\n",
     "val3": b"movel(p1,tTool,mPol)\n",
@@ -347,7 +347,7 @@ MOVE = {
 DWELL = {
     "rapid": b"WaitTime 0.5;\n",
     "krl": b"WAIT SEC 0.5\n",
-    "fanuc-tp": b"   2:  WAIT    .50(sec) ;\n",
+    "fanuc-tp": b"    :  WAIT    .50(sec) ;\n",
     "urscript": b"  sleep(0.5)\n",
     "inform": b"TIMER T=0.5\n",
     "val3": b"waitEndMove() delay(0.5)\n",

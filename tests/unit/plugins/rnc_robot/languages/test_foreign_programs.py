@@ -34,7 +34,7 @@ TP = """/PROG  POLI\t  Process
 {positions}/END
 """
 ENGLISH = (
-    "OWNER\t\t= MNEDITOR;\nCREATE\t\t= DATE 25-01-09  TIME 16:56:42;\nLINE_COUNT\t= 4;\n"
+    "OWNER\t\t= MNEDITOR;\nCREATE\t\t= DATE 25-01-09  TIME 16:56:42;\nLINE_COUNT\t= {count};\n"
     "TCD:  STACK_SIZE\t= 0,\n      TASK_PRIORITY\t= 50;\nDEFAULT_GROUP\t= 1,*,*,*,*;\n"
 )
 GERMAN = 'EIGN.\t\t= MNEDITOR;\nKOMM.\t\t= "Gr\xf6\xdfe";\nZEILEN\t\t= 3;\n'
@@ -47,6 +47,7 @@ def tp(*lines: str, head: str = ENGLISH, group: str = "") -> str:
         for k in (1, 2, 3)
     ]
     numbered = "\n".join(f"{k:4d}:{line} ;" for k, line in enumerate(lines, 1))
+    head = head.replace("{count}", str(len(lines)))
     return TP.format(head=head, lines=numbered, positions="".join(positions))
 
 
@@ -321,9 +322,13 @@ REFUSED = [
     ("call.ls", tp("J P[1] 100% FINE", "  CALL LASER_OFF   "), 11, "calls are not read"),
     (
         "pulses.jbi",
-        job("MOVJ C00000 VJ=5.00", "MOVL C00001 V=80.0", positions="C00000=1000,0,20,0,0,0\r\nC00001=9,0,2,0,0,0\r\n"),
-        20,
-        "not declared",
+        job(
+            "MOVJ C00000 VJ=5.00",
+            "MOVL C00001 V=80.0",
+            positions="///PULSE\r\nC00000=1000,0,20,0,0,0\r\nC00001=9,0,2,0,0,0\r\nC00002=9,0,2,0,0,0\r\n",
+        ),
+        22,
+        r"the position C00001 is in pulses or angles of the axes \(line 12, under ///PULSE\)",
     ),
     ("station.jbi", job("MOVL C00000 EC00000 V=20.0"), 20, "not read"),
     ("nwait.jbi", job("MOVL C00000 V=20.0 PL=0 NWAIT"), 20, "not read"),
