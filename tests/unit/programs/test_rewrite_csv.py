@@ -47,6 +47,7 @@ def test_rows_are_read(tmp_path: Path, content: bytes, values: list[float]) -> N
         (b"inf\n", "row 1 is not finite"),
         (b"1e999\n", "row 1 is not finite"),
         (b"1\n2\n-0.5\n", 'row 3 is below zero: "-0.5"'),
+        (b"1\n1e9\n", "row 2 asks for more than 1000000 s (12 days) at one point"),
         (b"1\n\n2\n", "row 2 is empty"),
         (b"1\n\n", "row 2 is empty"),
         (b"\n", "row 1 is empty"),

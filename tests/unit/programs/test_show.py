@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -64,6 +65,24 @@ def test_inspect_of_feeds(polishd: Polishd, program: Path) -> None:
     assert answer["warnings"] == ["no G94 in the program: assumed"]
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "unit"),
+    [
+        ("rs274", FEED, "mm/min"),
+        ("rs274", FEED.replace(b"G21", b"G20"), "inch/min"),
+        ("rs274", FEED.replace(b"G1 X3 F240", b"G20\nG1 X3 F9.5"), "mm/min and inch/min"),
+        ("fanuc", re.sub(rb"([XYZF]\d+)", rb"\1.", FEED.replace(b"G21", b"G20")), "inch/min"),
+        ("siemens", FEED.replace(b"G21", b"G700").replace(b"0\n", b"0.\n"), "inch/min"),
+        ("twincat-nci", FEED.replace(b"G21 G90 G94", b"G700 G90"), "inch/min"),
+    ],
+)
+def test_inspect_names_the_unit_of_feeds_as_they_are_written(
+    polishd: Polishd, program: Path, name: str, text: bytes, unit: str
+) -> None:
+    program.write_bytes(text)
+    assert polishd("program", "inspect", program, "--dialect", name, "--json").answer["unit"] == unit
+
+
 def test_inspect_for_people(polishd: Polishd, program: Path) -> None:
     program.write_bytes(FEED.replace(b"G94", b""))
     said = polishd("program", "inspect", program)
@@ -95,7 +114,10 @@ def test_inspect_draws(polishd: Polishd, tmp_path: Path) -> None:
     said = polishd("program", "inspect", path, "--picture", tmp_path / "p.png")
     assert (said.code, f"written to {tmp_path / 'p.png'}" in said.out) == (0, True)
     assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    assert polishd("program", "inspect", path, "--picture", tmp_path / "none" / "p.png").code == 3
+    none = tmp_path / "none" / "p.png"
+    said = polishd("program", "inspect", path, "--picture", none)
+    assert said.code == 3
+    assert f"{none}: cannot be written: No such file or directory. Name another file with --picture." in said.err
 
 
 def test_a_robot_language_answers_with_the_same_keys(polishd: Polishd, program: Path, tmp_path: Path) -> None:
@@ -137,6 +159,22 @@ def test_rewrite_changes_the_times_and_nothing_else(polishd: Polishd, program: P
     assert (answer["points"], answer["encoding"]) == (3, "dwell")
     assert answer["dwell_total_s"] == answer["asked_total_s"] == 3.375
     assert stat.S_IMODE(out.stat().st_mode) == 0o644
+
+
+def test_a_table_of_zeros_is_written_with_a_warning(polishd: Polishd, program: Path, tmp_path: Path) -> None:
+    said = polishd(
+        "program", "rewrite", program, "--dwell", table(tmp_path / "d.csv", 0, 0, 0), "--out", tmp_path / "n"
+    )
+    assert "all 3 rows are 0 s: the new program removes nothing" in said.out
+    again = polishd("program", "rewrite", program, "--dwell", tmp_path / "d.csv", "--out", tmp_path / "n", "--json")
+    assert len(again.answer["warnings"]) == 1
+
+
+def test_an_empty_name_of_a_file_is_refused(polishd: Polishd, program: Path, tmp_path: Path) -> None:
+    dwell = table(tmp_path / "d.csv", 1, 2, 3)
+    said = polishd("program", "rewrite", program, "--dwell", dwell, "--out", "")
+    assert said.code == 2
+    assert "'--out': the name is empty" in said.err
 
 
 def test_rewriting_with_its_own_times_is_the_same_bytes(polishd: Polishd, program: Path, tmp_path: Path) -> None:

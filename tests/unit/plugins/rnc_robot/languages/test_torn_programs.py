@@ -39,7 +39,7 @@ READ = [
 
 @pytest.mark.parametrize(("name", "text", "reason"), REFUSED)
 def test_a_program_that_contradicts_itself_is_refused(name: str, text: bytes, reason: str) -> None:
-    with pytest.raises(ProgramError, match=rf"^p\.x, line [0-9]+: .*To do: ") as refusal:
+    with pytest.raises(ProgramError, match=r"^p\.x, line [0-9]+: .*To do: ") as refusal:
         read(profile(name), text, "p.x")
     refusal.match(reason)
 
