@@ -259,11 +259,11 @@ def _language_program(dialect: str, rng: Random, lines: int, damage: float) -> b
 def _language_point(language: Language, rng: Random, number: int, wordy: float) -> list[bytes]:
     """A move, its dwell, and perhaps something between the points."""
     x, y, seconds = (round(rng.uniform(-90, 90), rng.randrange(4)) for _ in range(3))
-    said = {"n": number + 2, "x": x, "y": y, "mx": x / 1e3, "my": y / 1e3, "s": _seconds(abs(seconds), rng)}
+    said = {"x": x, "y": y, "mx": x / 1e3, "my": y / 1e3, "s": _seconds(abs(seconds), rng)}
     found = [rng.choice(language.moves), rng.choice(language.dwells)]
     if rng.random() < wordy:
         found.insert(rng.choice([0, 2]), rng.choice(language.neutral))
-    lines = [line.format(**said) for line in found]
+    lines = [line.format(n=n, **said) for n, line in enumerate(found, number + 2)]
     if rng.random() < wordy and language.comment[0] != "!":
         lines[0] += f" {language.comment}"
     return [line.encode() for line in lines]
