@@ -113,7 +113,7 @@ def _require_targets(files: Sequence[Path], asked: AbsoluteOptions, source: MapS
         require_target(target, files, source, force=asked.force)
     if len({target.absolute() for target in targets}) < len(targets):
         raise ConfigError(f"{targets[0]}: is named by --out-instrument and --out-part; name two files")
-    require_picture(asked.picture, "--picture")
+    require_picture(asked.picture)
 
 
 def poses_of(asked: AbsoluteOptions, files: Sequence[Path]) -> list[PartPose]:

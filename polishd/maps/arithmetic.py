@@ -84,7 +84,7 @@ def subtract_maps(surface: SurfaceMap, other: SurfaceMap) -> Difference:
 def subtract_verb(first: Path, second: Path, asked: NewMapOptions, *, as_json: bool) -> None:
     """Show FIRST less SECOND, with the figures of both and of the difference; write it on request."""
     source = MapSource.by(asked)
-    require_picture(asked.picture, "--picture")
+    require_picture(asked.picture)
     if asked.out is not None:
         require_target(asked.out, [first, second], source, force=asked.force)
     other = source.read(second)
@@ -167,7 +167,7 @@ def average_verb(files: Sequence[Path], asked: AverageOptions, *, as_json: bool)
     """Average the maps, each without system error, piston and tilt; write the mean on request."""
     system, mixed = asked.system, asked.mixed
     source = MapSource.by(asked, system=system is None)  # one of the two options only
-    require_picture(asked.picture, "--picture")
+    require_picture(asked.picture)
     if asked.out is not None:
         require_target(asked.out, files if system is None else [*files, system], source, force=asked.force)
     read = [source.read(path) for path in files]

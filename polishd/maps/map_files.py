@@ -397,13 +397,13 @@ def edges_mm(text: str) -> tuple[float, ...]:
     return edges
 
 
-def require_picture(out: Path | None, option: str = "--out") -> None:
+def require_picture(out: Path | None) -> None:
     """ConfigError where the picture cannot be written, or does not end in ``.png``: it could be a map."""
     if out is None:
         return
     if out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a picture is a PNG file; name it *.png")
-    require_writable_file(out, option)
+    require_writable_file(out)
 
 
 def draw(out: Path, picture: bytes, option: str = "--out", *, as_json: bool) -> None:

@@ -79,7 +79,7 @@ def _require_targets(files: Sequence[Path], asked: StitchOptions, source: MapSou
         require_target(target, files, source, force=asked.force)
     if len({target.absolute() for target in targets}) < len(targets):
         raise ConfigError(f"{asked.out}: is named by --out and --uncertainty; name two files")
-    require_picture(asked.picture, "--picture")
+    require_picture(asked.picture)
 
 
 def require_lines(files: Sequence[Path], listed: Collection[str], at: Path, line: str) -> None:

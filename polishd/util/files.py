@@ -120,10 +120,10 @@ def toml_text(path: Path) -> str:
         raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start}); save it as UTF-8") from error
 
 
-def require_writable(folder: Path, option: str = "--out") -> None:
+def require_writable(folder: Path) -> None:
     """ConfigError unless files can be written in the folder, or, where it is not there yet, in the one above it.
 
-    For what is computed for long, and written then. ``option``: the option that named it.
+    For what is computed for long, and written then.
     """
     try:
         nearest = next(path for path in (folder, *folder.parents) if path.exists())
@@ -131,16 +131,16 @@ def require_writable(folder: Path, option: str = "--out") -> None:
             probe.write(b"\0" * PROBE_BYTES)
             probe.flush()
     except OSError as error:
-        raise unwritable_message(folder, error, option) from error
+        raise unwritable_message(folder, error) from error
 
 
-def require_writable_file(path: Path, option: str = "--out") -> None:
+def require_writable_file(path: Path) -> None:
     """ConfigError unless a file of that name can be written: for what is computed for long, or one file of several."""
     if path.exists() and not path.is_file():
         raise ConfigError(f"{path}: is there, and is no regular file; name another")
     if not path.parent.is_dir():
         raise ConfigError(f"{path.parent}: is not a folder; make it, or name a file in another")
-    require_writable(path.parent, option)
+    require_writable(path.parent)
 
 
 def require_new(out: Path) -> None:
@@ -149,9 +149,9 @@ def require_new(out: Path) -> None:
         raise ConfigError(f"{out}: exists already; name a new folder with --out")
 
 
-def unwritable_message(path: Path, error: OSError, option: str = "--out") -> ConfigError:
-    """Return the message for a file or folder, named by ``option``, that cannot be written."""
-    todo = f"{'make room, or ' if error.errno == errno.ENOSPC else ''}name another with {option}"
+def unwritable_message(path: Path, error: OSError) -> ConfigError:
+    """Return the message for a file or folder of ``--out`` that cannot be written."""
+    todo = "make room, or name another with --out" if error.errno == errno.ENOSPC else "name another with --out"
     return ConfigError(f"{path}: cannot be written: {error.strerror}; {todo}")
 
 

@@ -77,7 +77,7 @@ def scan(
     _leave_bare(found)
     if not draft:
         _check_numbers(found)
-        _check_counts(found)
+        _check_count(found)
     return found
 
 
@@ -94,23 +94,17 @@ def _check_numbers(found: Scan) -> None:
     )
 
 
-def _check_counts(found: Scan) -> None:
-    """ProgramError where a count in the head contradicts the program: it is torn, or mixed of two."""
-    rules, lines = found.profile.move_time, found.numbers
-    if rules is not None:
-        _check_count(found, rules.numbered_lines, {lines.lines, lines.numbered}, "numbered lines")
-    _check_count(found, found.profile.position_count, {found.declared}, "positions")
-
-
-def _check_count(found: Scan, regex: str, counted: set[int], what: str) -> None:
+def _check_count(found: Scan) -> None:
+    """ProgramError where the head's count of positions contradicts the program: it is torn, or mixed of two."""
+    regex = found.profile.position_count
     head = re.search(regex.encode(), found.source.data) if regex else None
     if head is None:
         return
     stated = sum(map(int, re.findall(rb"[0-9]+", head[1])))
-    if stated and stated not in counted:
+    if stated and stated != found.declared:
         raise found.refuse_line(
             found.source.data.count(b"\n", 0, head.start(1)) + 1,
-            f"the head counts {stated} {what}, the program has {max(counted)}",
+            f"the head counts {stated} positions, the program has {found.declared}",
             "check that the file is whole and not two files mixed, and have it posted again; if it is right, correct "
             "the count, or write 0",
         )

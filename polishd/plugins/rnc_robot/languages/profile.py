@@ -196,7 +196,7 @@ class MoveTime(_Strict):
     first_number: int = Field(1, ge=0, le=1)
     """Number of the first line, where lines are numbered."""
     numbered_lines: str = ""
-    """Regular expression of the head's count of numbered lines, the count in a group. A count of 0 is not compared."""
+    """Regular expression of the head's count of numbered lines, the count in a group: it is written anew."""
 
     @model_validator(mode="after")
     def _sound(self) -> MoveTime:

@@ -64,10 +64,6 @@ class StatedTime:
 class LineNumbers:
     """The numbers of a program's lines, as far as it is read."""
 
-    lines: int = 0
-    """Lines that have a number or may have one."""
-    numbered: int = 0
-    """Those that have one."""
     highest: int = 0
     at: int = 0
     """The program's line that has this number."""
@@ -77,8 +73,6 @@ class LineNumbers:
     def add(self, line: int, written: bytes) -> None:
         """One more line, with its number; empty: none."""
         number = int(written or b"0")
-        self.lines += 1
-        self.numbered += bool(written)
         if number and number <= self.highest and self.falls is None:
             self.falls = line, number, self.at, self.highest
         if number:

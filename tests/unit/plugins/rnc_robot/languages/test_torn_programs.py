@@ -17,8 +17,6 @@ NO_SECTION = INFORM.replace(b"///RECTAN\n", b"").replace(b"///PULSE\n", b"")
 REFUSED = [
     ("melfa-basic", TWICE, r"line 9: the line number 8 a second time \(the first is in line 8\): \"8 M_Out"),
     ("melfa-basic", FALLS, r"line 10: the line number 6 behind 9 \(in line 9\)"),
-    ("fanuc-tp", TP.replace(b"   8:L", b"   7:L"), r"line 16: the line number 7 a second time .*line 15"),
-    ("fanuc-tp", TP.replace(b"T\t= 12;", b"T\t= 3;"), r"line 5: the head counts 3 numbered lines, the program has 12"),
     ("inform", INFORM.replace(b"NPOS 4", b"NPOS 20"), "line 4: the head counts 20 positions, the program has 4"),
     ("inform", INFORM.replace(b"///RECTAN", b"///PULSE"), r"line 25: .*C00001 is in pulses .*line 13, under ///PULSE"),
     ("inform", INFORM.replace(b"///RECTAN", b"///ANGLE"), r"C00001 is in pulses or angles .* under ///ANGLE"),
@@ -26,6 +24,8 @@ REFUSED = [
     ("inform", INFORM.replace(b",0.0000\nC00002", b"\nC00002"), r"C00001 \(line 13\) is not written as x, y, z and an"),
 ]  # fmt: skip
 READ = [
+    ("fanuc-tp", TP.replace(b"   8:L", b"   7:L")),
+    ("fanuc-tp", TP.replace(b"T\t= 12;", b"T\t= 3;")),
     ("melfa-basic", MELFA.replace(b"9 M_Out", b"M_Out")),
     ("fanuc-tp", TP.replace(b"T\t= 12;", b"T\t= 0;")),
     ("fanuc-tp", TP.replace(b'"WAIT 9.00(sec)"', b'"LINE_COUNT = 3"')),
