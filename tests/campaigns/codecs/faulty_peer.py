@@ -45,7 +45,7 @@ class Talk(ABC):
     ends = False
     """Nonsense ends the connection even so."""
     pauses = False
-    """It waits a little before it asks again: a double comes by itself, and before that."""
+    """It waits a little before it asks again: a double comes as a message apart, and before that."""
     kinds = frozenset(WEIGHTS)
     """What happens to its replies."""
     least = 0.5
@@ -88,7 +88,7 @@ class Talk(ABC):
         return self.distinguishes(b"".join(sent), reply)
 
     def wired(self, monkeypatch: pytest.MonkeyPatch, peer: FaultyPeer) -> None:
-        """Where it has a bus of its own, lay it."""
+        """Patch in the simulated bus, where the driver needs one."""
         return
 
     def greets(self) -> Iterable[bytes]:

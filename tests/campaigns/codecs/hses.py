@@ -60,7 +60,7 @@ class Controller(Talk):
         """Those of the last request, which may have been sent several times."""
         self._number = 0
         self._found: dict[int, dict[str, Any]] = {}
-        """By command: what its last answer stands for."""
+        """By command: the value that its last answer means."""
 
     async def open(self) -> None:
         await self._link.open()

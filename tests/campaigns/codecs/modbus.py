@@ -43,7 +43,7 @@ def crc(data: bytes) -> bytes:
 
 
 class Slave(Talk):
-    """Answers reads by words or bits of its own numbers, and writes by their echo."""
+    """Answers reads by words or bits of new numbers, and writes by their echo."""
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)

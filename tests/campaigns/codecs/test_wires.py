@@ -91,7 +91,7 @@ async def on_udp(make: Any, bad: int) -> None:
 
 async def until(holds: Callable[[], bool]) -> None:
     async with asyncio.timeout(SOON_S):
-        while not holds():  # noqa: ASYNC110 -- the kernel tells nobody
+        while not holds():  # noqa: ASYNC110 -- the kernel has no event for it
             await asyncio.sleep(0.01)
 
 

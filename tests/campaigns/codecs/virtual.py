@@ -22,7 +22,7 @@ from tests.fakes.wires import Peer
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """Waiting takes no time. Whoever connects meets ``peer``."""
+    """Waiting takes no time. Each connection is one to ``peer``."""
 
     def __init__(self) -> None:
         super().__init__(_Jumping(self))
@@ -59,7 +59,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return wire, protocol
 
     def say(self, data: bytes) -> None:
-        """The far end of the line: what comes late comes to whoever has the port open then."""
+        """The far end of the line: what comes late comes to the connection that has the port open then."""
         if self.port is not None:
             self.port.feed(data)
 

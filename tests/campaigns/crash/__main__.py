@@ -26,7 +26,7 @@ BEGINNINGS = 10
 
 
 def say(*words: object) -> None:
-    """Progress, for whoever waits."""
+    """Print the progress."""
     print(*words, file=sys.stderr, flush=True)
 
 
@@ -81,7 +81,7 @@ def run_model(figures: Figures, faults: int) -> None:
 
 
 def one_part(seed: int, number: int) -> kills.Count:
-    """A cell in a folder of its own, which stays where something was wrong."""
+    """Attack a cell in a new folder, which stays where something was wrong."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-crash-"))
     count = attacks.part(folder / "cell", seed, number)
     if count.bad:
@@ -103,7 +103,7 @@ def main() -> int:
     parse.add_argument("--json", action="store_true", help="nothing but the last line, which is JSON in any case")
     options = parse.parse_args()
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # thousands of daemons would each compile polishd again
-    folder = options.folder.resolve()  # strace tells whole paths
+    folder = options.folder.resolve()  # strace prints whole paths
     figures = Figures(folder, options.seed)
     run_states(figures, options.states, time.monotonic() + 60 * options.minutes)
     run_kills(figures, options.kills, time.monotonic() + 60 * options.minutes)

@@ -57,7 +57,7 @@ def landing(cell: Campaign) -> None:
 
 
 def leaving(cell: Campaign) -> None:
-    """The daemon, while it takes the tool off: it was told to hold, and is killed before, amid or after the lift."""
+    """The daemon, while it takes the tool off: it was ordered to hold, and is killed before, amid or after the lift."""
     cell.site.start()
     cell.begin()
     cell.until_contact()
@@ -95,7 +95,7 @@ def rebooted(device: str) -> Callable[[Campaign], None]:
 
 
 def stopped(who: str) -> Callable[[Campaign], None]:
-    """Somebody stands still for a while."""
+    """A process stands still for a while."""
 
     def do(cell: Campaign) -> None:
         cell.site.start()
@@ -114,7 +114,7 @@ def stopped(who: str) -> Callable[[Campaign], None]:
 
 
 def _pids(site: Site, who: str) -> list[int]:
-    """Of whoever is to stand still."""
+    """Of the process that is to stand still."""
     if who == "worker":
         return site.workers()
     return [site.pid if who == "daemon" else site.device(who)]

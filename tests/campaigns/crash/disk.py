@@ -72,7 +72,7 @@ class Disk:
                 for path, n in self.names.items() if n != FOLDER}  # fmt: skip
 
     def require_complete(self, folder: Path) -> None:
-        """The recording tells of all that was done: without a crash it gives the files that are there."""
+        """The recording has all that was done: without a crash it gives the files that are there."""
         assert self.seen() == files_in(folder)
 
     def crashed(self, variant: int, seed: str) -> Files:

@@ -40,7 +40,7 @@ QUICK = {
 STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
 CLAIMED = re.compile(r": touched in (\S+) s; the plant saw (\S+) s$")
-"""A contradiction that costs no block twice: the journal tells of a contact that was none."""
+"""A contradiction that costs no block twice: the journal has a contact that was none."""
 NEVER = 3.0
 """So long an attack may have no effect."""
 
@@ -54,7 +54,7 @@ class Count:
     in_contact: int = 0
     """Of the attacks: while the tool was on its way to the part, or on it."""
     went_on: int = 0
-    """Starts that came up held and went on when they were told to."""
+    """Starts that came up held and went on when they were ordered to."""
     finished: int = 0
     """Jobs that went on to their end."""
     bad: Counter[str] = field(default_factory=Counter)
@@ -235,7 +235,7 @@ def attacked_cell(folder: Path, seed: int) -> Iterator[Site]:
 
 
 def _port() -> int:
-    """A free one that the system gives to nobody by itself: while the robot is down it stays free."""
+    """Return a free port that the system gives to no process unasked: while the robot is down it stays free."""
     while True:
         with (
             contextlib.suppress(OSError),

@@ -1,6 +1,6 @@
 """What runs under the recorder: the real daemon, or the journal's own methods, on a connection that leaves marks.
 
-A mark is a line in a file of its own, so that it stands in its place among the recorded system calls: what a commit is
+A mark is a line in a separate file, so that it stands in its place among the recorded system calls: what a commit is
 about to write, and that it has returned. ``python -m tests.campaigns.crash.marked MARKS daemon CELL.toml ...`` is
 ``polishd run``; ``... script STATE_DIR`` is a job of a second, by the journal's own methods; ``... open STATE_DIR``
 opens and closes it.
@@ -38,7 +38,7 @@ GROUP = 7
 
 
 class Marking(sqlite3.Connection):
-    """Tells what it commits before it does, and that it is durable afterwards."""
+    """Marks what it commits before it does, and that it is durable afterwards."""
 
     handle = -1
     """Of the marks' file."""
@@ -70,7 +70,7 @@ class Marking(sqlite3.Connection):
         return cursor
 
     def executescript(self, script: str, /) -> sqlite3.Cursor:
-        """A transaction of its own."""
+        """A separate transaction."""
         self.mark(commit=[[script, None]])
         cursor = super().executescript(script)
         self.mark(durable=True)

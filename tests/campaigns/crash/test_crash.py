@@ -148,7 +148,7 @@ def test_a_landing_that_was_ordered_before_a_start_is_not_its_own() -> None:
         return [event["event"] for event in kills.moved_since(events, since_s=0.5)]
 
     assert found("engage", "force_on", "tool_lifted", "retract") == []
-    assert found("engage", "force_on", "force_on") == ["force_on"]  # nobody had ordered the second one
+    assert found("engage", "force_on", "force_on") == ["force_on"]  # no order had come for the second one
     assert found("engage", "tool_lifted", "force_on") == ["force_on"]
     assert found("retract", "force_on") == ["force_on"]
     assert found("engage", "engage", "force_on") == ["engage", "force_on"]

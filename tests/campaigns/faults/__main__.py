@@ -42,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def tried(kept: Kept, link: str, fault: str) -> int:
-    """Whether something was wrong, in a folder of its own, which then stays."""
+    """Run it in a new folder, which stays where something was wrong; return whether something was."""
     folder = Path(tempfile.mkdtemp(prefix="polishd-faults-"))
     try:
         finding = measure(link, fault, folder / "cell")
@@ -76,7 +76,7 @@ def lost(kept: Kept, link: str, first: int, most: int, until_s: float) -> int:
 
 
 def say(text: str) -> None:
-    """At once, whoever reads."""
+    """Print it at once."""
     print(text, flush=True)
 
 

@@ -1,7 +1,7 @@
 """Many losses of one link: a daemon loses it in contact, leaves the part and ends; the next goes on with the same cell.
 
 A cell in which something was wrong is followed by another. A daemon that is held before the loss, as it is over the one
-before, is told to resume.
+before, gets the order to resume.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from tests.system.sim_rig import wait_for
 CONTACT_S = (0.2, 1.2)
 """In contact before a loss, wall time: all phases of polls and heartbeats."""
 AGAIN_S = LATE_S + 0.1
-"""The link is back so long after its limit: later than anybody may notice."""
+"""The link is back so long after its limit: later than the limit in which it must be noticed."""
 LIFTS = {"actuator": {"lift_s": 1.0}}
 """The force is off before the tool lifts."""
 A_CELL = 50
@@ -40,7 +40,7 @@ LOOK_S = 0.3
 """Between two looks whether it is held before it was lost."""
 ANSWER_S = 5.0
 SAID = 3
-"""Contradictions of one loss that are told."""
+"""Contradictions of one loss that are reported."""
 ENDLESS = {"job": {"max_cycles": 100, "tolerance_nm": 0.01}}
 
 
@@ -94,7 +94,7 @@ def _script(files: DemoFiles, template: str, name: str, number: int) -> None:
 
 
 def _asked(daemon: Daemon, verb: str) -> dict[str, Any]:
-    """As a person does; empty where nobody answers, or it is refused."""
+    """Ask as a person does; empty where no daemon answers, or it is refused."""
     with contextlib.suppress(PolishdError):
         return client.request(daemon.files.state_dir, verb, ANSWER_S)
     return {}
@@ -134,7 +134,7 @@ def _lost(name: str, number: int, daemon: Daemon, log: Log) -> Loss | None:
 
 
 def _loss(name: str, after: list[dict[str, Any]], files: DemoFiles, told: dict[str, Any]) -> Loss:
-    """Of what the simulator tells from the loss on, and the daemon at its end."""
+    """Judge what the simulator reports from the loss on, and the daemon at its end."""
     since_s, limit_s = after[0]["mono_s"], LINKS[name].silence_s
     reacted_s, off_s = first(after, REACTIONS), first(after, OFF)
     wrong = ["the cell does not come to rest"] if told["state"] == "stuck" else list(_wrong(name, files, after))

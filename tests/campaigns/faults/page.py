@@ -62,7 +62,7 @@ def _days(rows: Sequence[Row]) -> str:
 
 
 def _losses(row: Row) -> Iterator[str]:
-    """Those by silence and those by the plug; what went wrong in a line of its own."""
+    """Those by silence and those by the plug; what went wrong in a separate line."""
     for how in (how for how in ("hangs", "unplugged") if row[how]):
         spreads = [_spread(pair[k] for pair in row[how]) for k in (0, 1)]
         yield _line(

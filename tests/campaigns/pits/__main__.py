@@ -62,7 +62,7 @@ def sentence(one: Finding) -> str:
 
 
 def say(text: str, *, to_stderr: bool = False) -> None:
-    """At once, whoever reads."""
+    """Print it at once."""
     print(text, flush=True, file=sys.stderr if to_stderr else sys.stdout)
 
 
