@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import unicodedata
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.gcode import kernels as c
@@ -135,12 +137,24 @@ def _why_no_word(reason: str, dialect: GcodeDialect, line: str, column: int) -> 
         return _CHARACTERS[":"]
     if not name:
         at = line[column : column + 1]
-        return _CHARACTERS.get(at, (f"column {column + 1} holds {at!r}, which is no word", "remove it"))
+        unknown = f"column {column + 1} holds {_named(line[column:])}, which is no word"
+        return _CHARACTERS.get(at, (unknown, "remove it"))
     if len(name) > 1 and name.upper() != name[0].upper() and not re.match(r"[A-Za-z_]+\s*[-+.\d]", line[column:]):
         return f"the word {name} is not known", "take it out, or have it posted without it"
     if reason.startswith("is a word without"):
         return f"{name if len(name) > 1 else letter} without a number", "correct the word, or take it out"
     return f"the word {letter} is not known", "take it out, or have it posted without it"
+
+
+def _named(rest: str) -> str:
+    """Name the first character of the rest of a line in Latin-1. Beyond ASCII some look like others: by their names."""
+    if rest[:1].isascii():
+        return repr(rest[:1])
+    for count in (2, 3, 4):
+        with contextlib.suppress(UnicodeDecodeError):
+            character = rest[:count].encode("latin-1").decode()
+            return f"U+{ord(character):04X} ({unicodedata.name(character, 'without a name').lower()})"
+    return f"the byte 0x{ord(rest[0]):02x}"
 
 
 def _letter(code: int) -> str:
