@@ -34,7 +34,7 @@ _PLAIN = b"0123456789+-.eE \t\r\n"
 
 
 LONGEST_S = 1e6
-"""A longer dwell at one point (11 days) is a mistake: milliseconds, or a total."""
+"""A longer dwell at one point (12 days) is a mistake: milliseconds, or a total."""
 
 
 class DwellTable:

@@ -133,9 +133,8 @@ def _doing(live: Mapping[str, Any]) -> Iterator[Metric]:
 def _readings(readings: Mapping[str, Any], passed_s: float) -> Iterator[Metric]:
     for whose, field, name, what, per in READINGS:
         reading = readings.get(whose)
-        if (
-            reading is not None and reading.get(field) is not None and reading["age_s"] + passed_s <= OLD_S
-        ):  # the metrics have the age of an old one
+        # of an old one there is the age alone
+        if reading is not None and reading.get(field) is not None and reading["age_s"] + passed_s <= OLD_S:
             yield _one(name, what, reading[field] * per)
     for whose, name, what in AGES:
         if readings.get(whose) is not None:
