@@ -28,9 +28,7 @@ from polishd.plugins.rnc_robot.dialect import (
     require_language,
 )
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
-from polishd.plugins.rnc_robot.gcode.checks import Checks
 from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, scan_program
-from polishd.plugins.rnc_robot.gcode.time_words import Points, ProgramChunk
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
 from polishd.process.toolpath.apertures import TOWARDS, Aperture
@@ -104,10 +102,8 @@ def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
     """Figures as JSON values. NC text of any size is read in bounded memory."""
     found: StreamCounts | Program
     if isinstance(profile, GcodeDialect):
-        written = _WrittenFeeds(profile)
         with _bar("reading", file) as progress, opened(file) as source:
-            found = scan_program(profile, source, file.name, progress, written.add)
-        found.unit = written.unit if found.encoding == "feed" else found.unit
+            found = scan_program(profile, source, file.name, progress)
         points, total_s, (slow, fast) = found.points, found.time_s, found.feed_mm_min
         bounds = (found.low_mm, found.high_mm)
     else:
@@ -127,27 +123,6 @@ def _inspected(file: Path, profile: AnyDialect) -> dict[str, Any]:
         "unit": found.unit,
         "sha256": found.sha256,
     }
-
-
-class _WrittenFeeds:
-    """Unit of the feeds of NC text as they are written: after G20, G70 or G700 they are in inches."""
-
-    def __init__(self, dialect: GcodeDialect) -> None:
-        self._unit = dialect.feed.unit
-        self._per_minute = 60.0 if self._unit == "mm/s" else 1.0
-        self._sizes_mm: set[float] = set()
-
-    def add(self, _piece: ProgramChunk, points: Points, _checks: Checks) -> None:
-        """Take the feeds of further points."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sizes_mm = points.feed_mm_min / points.number / self._per_minute
-        self._sizes_mm |= set(np.unique(np.round(sizes_mm, 3)).tolist())
-
-    @property
-    def unit(self) -> str:
-        """mm/min, inch/min, or both."""
-        units = {1.0: self._unit, 25.4: self._unit.replace("mm/", "inch/")}
-        return " and ".join(name for size, name in units.items() if size in self._sizes_mm) or self._unit
 
 
 def _inspect_table(name: str, answer: dict[str, Any]) -> Any:

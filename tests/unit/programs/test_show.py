@@ -81,6 +81,7 @@ def test_inspect_names_the_unit_of_feeds_as_they_are_written(
 ) -> None:
     program.write_bytes(text)
     assert polishd("program", "inspect", program, "--dialect", name, "--json").answer["unit"] == unit
+    assert read(dialect(name), text, "p.rnc").unit == unit
 
 
 def test_inspect_for_people(polishd: Polishd, program: Path) -> None:

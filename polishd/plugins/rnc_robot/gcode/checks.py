@@ -12,12 +12,25 @@ from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.gcode.time_words import Points, Scanner, TimeWordCounts
 
 
-def unit(dialect: GcodeDialect, encoding: Encoding, scale: FloatArray) -> str:
-    """The unit of the numbers that carry the time, as written."""
-    if encoding == "dwell":
-        found = [name for name, size in (("s", 1.0), ("ms", 0.001)) if (scale == size).any()]
-        return " and ".join(found)
-    return dialect.feed.unit if encoding == "feed" else dialect.feed.g93
+class WrittenUnit:
+    """Unit of the numbers that carry the time, as they are written: after G20, G70 or G700 feeds are in inches."""
+
+    def __init__(self, dialect: GcodeDialect, encoding: Encoding) -> None:
+        per_mm = dialect.feed.unit
+        self._names = {
+            "dwell": {1.0: "s", 0.001: "ms"},
+            "feed": {1.0: per_mm, 25.4: per_mm.replace("mm/", "inch/")},
+        }.get(encoding, {})
+        self._one = dialect.feed.g93
+        self._found: set[float] = set()
+
+    def add(self, points: Points) -> None:
+        """Take the units of further points."""
+        self._found.update(size for size in self._names if (points.unit_size == size).any())
+
+    def __str__(self) -> str:
+        """One unit, or both: "mm/min and inch/min"."""
+        return " and ".join(name for size, name in self._names.items() if size in self._found) or self._one
 
 
 class Checks:

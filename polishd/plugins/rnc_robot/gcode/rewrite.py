@@ -15,7 +15,7 @@ from polishd.api import Program, ProgramError
 from polishd.model.program import Encoding, IntArray
 from polishd.model.surface import FloatArray
 from polishd.plugins.rnc_robot.gcode import jit
-from polishd.plugins.rnc_robot.gcode.checks import Checks, unit, warnings
+from polishd.plugins.rnc_robot.gcode.checks import Checks, WrittenUnit, warnings
 from polishd.plugins.rnc_robot.gcode.dialect import GcodeDialect
 from polishd.plugins.rnc_robot.gcode.kernels import UNWRITABLE, direct, reciprocal, splice
 from polishd.plugins.rnc_robot.gcode.refusals import refuse
@@ -267,7 +267,7 @@ def scan_program(
     begin = _beginning(pieces, tally)
     encoding = tally.sits_in()  # the whole program must bear it out
     checks, reader = Checks(dialect, name, encoding), PointReader(dialect, name, encoding)
-    passed = StreamCounts(dialect.name, encoding)
+    passed, written = StreamCounts(dialect.name, encoding), WrittenUnit(dialect, encoding)
     for number, piece in enumerate(chain(begin, pieces)):
         if number >= len(begin):
             tally.add(piece)
@@ -276,7 +276,8 @@ def scan_program(
         still += points.still
         if each is not None:
             each(piece, points, checks)
-        _note(passed, dialect, points)
+        written.add(points)
+        _note(passed, points)
     if tally.encoding(name) != encoding:
         raise ProgramError(
             f"{name}: its time sits in the {encoding} at first, and in the {tally.encoding(name)} further on. "
@@ -285,12 +286,12 @@ def scan_program(
     if not passed.points:
         raise ProgramError(f"{name}: all its feed moves go nowhere. To do: check that this is the polishing program.")
     checks.finish(scanner)
-    passed.lines, passed.sha256 = scanner.lines, digest.hexdigest()
+    passed.unit, passed.lines, passed.sha256 = str(written), scanner.lines, digest.hexdigest()
     passed.warnings = tuple(warnings(scanner, tally, encoding, still))
     return passed
 
 
-def _note(passed: StreamCounts, dialect: GcodeDialect, points: Points) -> None:
+def _note(passed: StreamCounts, points: Points) -> None:
     if not len(points.line):
         return
     places = points.after[:, :3]  # NaN: never said, which is 0
@@ -305,8 +306,6 @@ def _note(passed: StreamCounts, dialect: GcodeDialect, points: Points) -> None:
     passed.range_s = (min(shortest, float(points.time_s.min())), max(longest, float(points.time_s.max())))
     passed.points += len(points.line)
     passed.time_s += float(points.time_s.sum())
-    found = unit(dialect, passed.encoding, points.scale)
-    passed.unit = found if passed.unit in ("", found) else "s and ms"
 
 
 # A whole program of ISO-like NC text in memory: read as columns of points, and written with other times.

@@ -254,6 +254,8 @@ class Points(NamedTuple):
     """Where the last word of a feed move's line ends."""
     lower: IntArray
     """1 where that word is in lower case."""
+    unit_size: FloatArray
+    """One written unit of the number: of a dwell in s, of a feed in mm (25.4: the feed is in inches)."""
     scale: FloatArray
     """Seconds of a number of 1: times the number for dwells and F in seconds, over the number for other feeds."""
     number: FloatArray
@@ -292,7 +294,7 @@ class PointReader:
         none = np.zeros(len(dwells), dtype=np.int64)
         return Points(
             dwells[:, c.D_LINE], dwells[:, c.D_START], dwells[:, c.D_END], dwells[:, c.D_STYLE], dwells[:, c.D_LINE],
-            none, none, times[:, c.D_SCALE], times[:, c.D_SECONDS] / times[:, c.D_SCALE],
+            none, none, times[:, c.D_SCALE], times[:, c.D_SCALE], times[:, c.D_SECONDS] / times[:, c.D_SCALE],
             times[:, c.D_SECONDS], at, at, feeds[dwells[:, c.D_MOVE] - piece.first_move + 1], 0,
         )  # fmt: skip
 
@@ -311,7 +313,7 @@ class PointReader:
 
     def _fed(self, piece: ProgramChunk, places: FloatArray) -> Points:
         feed = _mask(piece.moves[:, c.M_KIND] != c.RAPID)
-        moves, number = piece.moves[feed], piece.places[feed, c.V_FEED]
+        moves, number, unit_mm = piece.moves[feed], piece.places[feed, c.V_FEED], piece.places[feed, c.V_UNIT]
         before, after = places[:-1][feed], places[1:][feed]
         self._check_feeds(piece, moves)
         length_mm = self._length_mm(piece, moves, before, after)
@@ -324,13 +326,13 @@ class PointReader:
         else:
             piece.refuse_first(self.name, moves, turns, "the tool turns on the spot, at a feed in deg/min",
                                "have it posted with G93")  # fmt: skip
-            scale = 60.0 * length_mm / (piece.places[feed, c.V_UNIT] * self._per_minute)
+            scale = 60.0 * length_mm / (unit_mm * self._per_minute)
         time_s = number * scale if self._counts_time else scale / number
         with np.errstate(divide="ignore", invalid="ignore"):
             feed_mm_min = 60.0 * length_mm / time_s
         found = Points(
             moves[:, c.M_LINE], moves[:, c.M_START], moves[:, c.M_END], moves[:, c.M_STYLE], moves[:, c.M_F_LINE],
-            moves[:, c.M_TAIL], moves[:, c.M_LOWER], scale, number, time_s, before, after, feed_mm_min, 0,
+            moves[:, c.M_TAIL], moves[:, c.M_LOWER], unit_mm, scale, number, time_s, before, after, feed_mm_min, 0,
         )  # fmt: skip
         kept = _mask(going)
         columns = [column[kept] for column in found[:-1]]

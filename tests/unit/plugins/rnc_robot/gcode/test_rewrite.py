@@ -137,6 +137,28 @@ def check_all(name: str, text: bytes, sizes: tuple[int, ...], cut: Callable[[int
         assert streamed(profile, text, found.time_s)[0] == text
 
 
+@pytest.mark.parametrize("size", [*SIZES, WHOLE])
+@pytest.mark.parametrize(
+    ("name", "body", "unit"),
+    [
+        ("rs274", "F60\nG1 X1\nX2\n", "mm/min"),
+        ("rs274", "G20\nF3\nG1 X1\nX2\n", "inch/min"),
+        ("rs274", "G20\nF3\nG1 X1\nX2\nG21\nG1 X99 F60\n", "mm/min and inch/min"),
+        ("rs274", "F25.4\nG1 X1\nF1\nX2\n", "mm/min"),
+        ("rs274", "G20\nG93\nG1 X1 F60\nX2 F30\n", "1/min"),
+        ("rs274", "G20\nG1 X1 F3\nG4 P1\nX2\nG4 P2\n", "s"),
+        ("haas", "G1 X1. F60.\nG4 P500\nX2.\nG4 P0.5\n", "s and ms"),
+    ],
+)
+def test_a_program_has_the_unit_that_is_written(
+    cut: Callable[[int], None], size: int, name: str, body: str, unit: str
+) -> None:
+    """Whatever the sizes of the numbers are, and wherever the text is cut."""
+    cut(size)
+    head = "G21 G90 G94\nG0 X0. Y0. Z0.\n"
+    assert nc.read(cast(GcodeDialect, dialect(name)), f"{head}{body}M30\n".encode(), "p.nc").unit == unit
+
+
 @pytest.mark.one_of_each
 @pytest.mark.parametrize("name", TEXTS)
 def test_cut_anywhere(name: str, cut: Callable[[int], None]) -> None:
