@@ -71,8 +71,10 @@ def statements(profile: LanguageProfile, source: ProgramSource) -> Iterator[Matc
         line += data.count(b"\n", start, at)
 
 
-LONGEST_LINE = 1 << 14
-"""Bytes of a line: templates may go over a line as often as it has bytes."""
+LONGEST_LINE = 1 << 11
+"""Bytes of a line: templates may go over a line as often as it has bytes.
+
+A field that may run over line ends has no such limit: it must be possessive."""
 
 
 def require_short_lines(source: ProgramSource) -> None:
@@ -80,7 +82,9 @@ def require_short_lines(source: ProgramSource) -> None:
     long = re.search(rb"^[^\n]{%d}" % (LONGEST_LINE + 1), source.data, re.MULTILINE)
     if long:
         line = source.data.count(b"\n", 0, long.start()) + 1
-        raise source.refuse(line, f"a line of more than {LONGEST_LINE} bytes", "check that the file is a program")
+        raise source.refuse(
+            line, f"a line of more than {LONGEST_LINE} bytes", "split it, or check that the file is a program"
+        )
 
 
 def _matched(profile: LanguageProfile, source: ProgramSource, start: int, line: int) -> MatchedStatement:

@@ -14,7 +14,7 @@ import pytest
 
 from polishd.api import Program, ProgramError
 from polishd.plugins.rnc_robot import formats
-from polishd.plugins.rnc_robot.languages.statements import LONGEST_LINE
+from polishd.plugins.rnc_robot.languages.statements import LONGEST_LINE, ProgramSource, statements
 from polishd.plugins.rnc_robot.verify import verify
 from tests.corpus import fuzz
 from tests.unit.plugins.rnc_robot.languages.robot_programs import LANGUAGES, profile
@@ -149,4 +149,22 @@ def test_no_text_takes_long(name: str, piece: bytes) -> None:
     for text, beside in ((grammar.head.encode() + move[: len(move) // 2] + long, b""), (grammar.head.encode(), long)):
         with pytest.raises(ProgramError):
             formats.read(language, text, "f.txt", beside)
+    assert time.thread_time() - began < 2
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "piece"),
+    [
+        ("fanuc-tp", b"P[1]{GP1:UF:", b" \n"),
+        ("fanuc-tp", b"P[1]{GP1:UF:1,UT:1,CONFIG:'N',X=1 mm,Y=1 mm,Z=1 mm,W=1 deg,P=1 deg,R=1 deg GP2:", b" \n"),
+        ("rapid", b"MoveJ p10,v100\\T:=", b" \n"),
+        ("rapid", b"x " + b"a:=" * 600, b"1,\n"),
+        ("rapid", b"VAR num n:=", b"," + b" " * 2000 + b"\n"),
+    ],
+)
+def test_no_statement_over_many_lines_takes_long(name: str, begin: bytes, piece: bytes) -> None:
+    text = begin + piece * ((1 << 18) // len(piece))
+    began = time.thread_time()
+    with pytest.raises(ProgramError):
+        list(statements(profile(name), ProgramSource(text, "f.txt")))
     assert time.thread_time() - began < 2

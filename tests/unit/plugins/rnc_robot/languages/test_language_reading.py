@@ -9,6 +9,7 @@ import pytest
 
 from polishd.api import ProgramError
 from polishd.plugins.rnc_robot.languages import read, rewrite
+from polishd.plugins.rnc_robot.languages.statements import LONGEST_LINE
 from tests.unit.plugins.rnc_robot.languages.robot_programs import (
     DWELL,
     HEAD,
@@ -49,6 +50,23 @@ def test_a_program_is_read_and_written_back_to_the_byte(name: str, way: str) -> 
     assert program.lines == said.text.count(b"\n")
     assert (program.start_mm == program.end_mm).all()
     assert rewrite(profile(name), program, program.time_s) == text
+
+
+@pytest.mark.parametrize("piece", [b" ", b"0", b"a", b"a ", b"(", b",", b"a:=", b"="])
+@pytest.mark.parametrize("name", LANGUAGES)
+def test_a_line_beyond_the_limit_is_refused_before_templates_are_tried(name: str, piece: bytes) -> None:
+    said = PROGRAMS[name]
+    long = (piece * (LONGEST_LINE + 1))[: LONGEST_LINE + 1]
+    place = rf"part\.txt, line {said.text.count(10) + 1}: .*a line of more than {LONGEST_LINE} bytes.*To do: split it"
+    with pytest.raises(ProgramError, match=place):
+        read(profile(name), said.text + long, "part.txt")
+
+
+@pytest.mark.parametrize("name", LANGUAGES)
+def test_a_line_as_long_as_the_limit_is_read(name: str) -> None:
+    said = PROGRAMS[name]
+    program = read(profile(name), said.text + b" " * LONGEST_LINE, "part.txt")
+    assert program.time_s.tolist() == said.time_s
 
 
 @pytest.mark.parametrize("name", LANGUAGES)
