@@ -425,7 +425,7 @@ class _Job:
         believed = steps.initial_estimates(recipe)
         solved = dwell_step.solve(recipe, program, before, believed)
         plan = steps.rewrite(recipe, program, solved, program.name)
-        last = (self._planned(plan, solved, before), *self._execute(plan))
+        last = (self._planned(plan, solved, before, ripple=False), *self._execute(plan))  # of a witness part
         return self._updated(before, self._measured(before), last, believed)[1:]
 
     def _updated(
@@ -489,11 +489,12 @@ class _Job:
         done = ExecutedPass(before, after, planned.asked_s, executed_s, acting_s, expected_nm, planned.forecast, again)
         return steps.learn(self.recipe, self.programs[_number(planned) - 1], done, believed)
 
-    def _planned(self, plan: Plan, solved: SolveResult, surface: MeasureResult) -> PlanResult:
+    def _planned(self, plan: Plan, solved: SolveResult, surface: MeasureResult, *, ripple: bool = True) -> PlanResult:
         vetoes = [*steps.violations(self.recipe, plan), *self.hooks.check_plan(plan, self.recipe.envelope)]
         if vetoes:
             raise PlanRefused("; ".join(vetoes))
-        expected = forecast_of(self.recipe, surface, plan, solved.believed, solved.answer.acting)
+        acting = solved.answer.acting if ripple else None
+        expected = forecast_of(self.recipe, surface, plan, solved.believed, acting)
         return PlanResult.of(plan, solved, steps.in_part_frame(self.recipe, plan.program), expected)
 
     def _execute(self, plan: Plan) -> tuple[FloatArray, FloatArray]:

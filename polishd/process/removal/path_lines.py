@@ -18,6 +18,9 @@ FINER = 20
 """Cells of a patch to the spot's radius."""
 FINEST = 64
 """And at most: of lines that are so near to each other a spot leaves nothing."""
+MOST_CELLS = 96
+"""And at most from its centre to a side: lines that are farther apart than a spot is wide, as the tracks of a first
+touch, need no finer ones (their forecast of three minutes took as long as all else of a job together)."""
 CELLS_A_PERIOD = 12
 """Cells of a patch to the shorter of line distance and point distance, at least."""
 PERIODS = 3.0
@@ -181,7 +184,7 @@ def _frame(acting: ActingSpots, places: _Places, at: int, reach_mm: float) -> Pa
     radius = float(acting.spot.half_width_mm(blocks.depth_ratio[at : at + 1])[0])
     half = PERIODS * max(pitches + rests)
     dense = [one.a_pitch / one.pitch_mm for one in lines if one.pitch_mm is not None] or [1 / places.mean_mm]
-    cell = max(min(radius / FINER, min(pitches + rests) / CELLS_A_PERIOD), radius / FINEST)
+    cell = max(min(radius / FINER, min(pitches + rests) / CELLS_A_PERIOD), radius / FINEST, half / MOST_CELLS)
     return PatchFrame(
         at, centre, own, crossing, 1 / sum(dense), half, cell, places.near(centre, 2**0.5 * half + reach_mm)
     )

@@ -12,7 +12,8 @@ from scipy.stats import chi2
 from polishd.model.errors import ComputeError
 from polishd.model.process import ToolProcess
 from polishd.model.surface import BoolArray, FloatArray, Grid
-from polishd.process.removal import contact
+from polishd.process.removal import contact, path_lines
+from polishd.process.removal.path_lines import patch_frames
 from polishd.process.removal.quiet_pitch import ContactAt, quiet_pitch, ripple_shares
 from polishd.process.removal.ripple import (
     RADIUS_ERROR,
@@ -144,6 +145,19 @@ def test_the_lines_of_a_raster_are_those_of_a_direct_sum(lines: Lines) -> None:
             assert known == pytest.approx(total, rel=0.1)
         else:
             assert known >= 0.9 * total
+
+
+@pytest.mark.parametrize("lines", [Lines(4.0), Lines(4.5, rests=True, step_mm=1.5)], ids=["moving", "resting"])
+def test_lines_farther_apart_than_a_spot_is_wide_have_coarser_cells_and_the_same_ripple(
+    lines: Lines, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocks, time_s = lines.blocks()
+    coarse, frames = forecast(lines), patch_frames(ActingSpots(HertzSpot(PROCESS), blocks), time_s, GRID, clear(), 4)
+    assert [frame.cells for frame in frames] == [path_lines.MOST_CELLS] * 4
+    monkeypatch.setattr(path_lines, "MOST_CELLS", 1000)
+    fine = forecast(lines)
+    assert coarse.rms_nm == pytest.approx(fine.rms_nm, rel=0.01)
+    assert coarse.rms_high_nm == pytest.approx(fine.rms_high_nm, rel=0.01)
 
 
 def test_points_at_rest_leave_a_pattern_along_the_lines_too() -> None:
