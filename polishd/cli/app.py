@@ -474,7 +474,7 @@ def main() -> None:
         rich_utils.COLOR_SYSTEM = None  # without bold and dim text, too
     try:
         _plugin_commands()
-        _commands(_given())()
+        _commands(_given_command())()
     except PolishdError as error:
         say(f"polishd: {_with_cell(str(error))}", err=True)
         sys.exit(error.exit_code)
@@ -508,7 +508,7 @@ def _commands(given: str | None) -> Any:
     return typer.main.get_command(shown)
 
 
-def _given() -> str | None:
+def _given_command() -> str | None:
     """Return the first word of the command line that is no option: a command, or a group of commands."""
     return next((word for word in sys.argv[1:] if not word.startswith("-")), None)
 
@@ -521,7 +521,7 @@ def _with_cell(text: str) -> str:
     """Put the given cell's path into the commands of a message, so that they can be copied."""
     if "CELL.toml" not in text:
         return text
-    command, words = _commands(_given()), sys.argv[1:]
+    command, words = _commands(_given_command()), sys.argv[1:]
     while words and words[0] in getattr(command, "commands", {}):
         command, words = command.commands[words[0]], words[1:]
     given = command.make_context("", words, resilient_parsing=True).params
@@ -542,7 +542,7 @@ def _full_output() -> str:
 
 def _plugin_commands() -> None:
     """Add commands of polishd's plugins; load them only for a command that is not built in."""
-    command = _given()
+    command = _given_command()
     if command is not None and command not in _verbs(app):
         from polishd.plugin_loader import load_own
 

@@ -86,11 +86,11 @@ def cell_(
     """Plan a first touch on a witness part: tracks with the most information on the machine per contact time."""
     from polishd.commissioning.calibration.first_touch import TouchOptions, touch_verb
 
-    wanted = {}
+    targets = {}
     for text in want or []:
         name, _, sigma = text.partition("=")
         try:
-            wanted[name.strip()] = float(sigma)
+            targets[name.strip()] = float(sigma)
         except ValueError:
             raise typer.BadParameter(f"--want {text}: write NAME=SIGMA, such as rate=0.01") from None
-    touch_verb(cell, out, TouchOptions(part, minutes, wanted), as_json=as_json)
+    touch_verb(cell, out, TouchOptions(part, minutes, targets), as_json=as_json)

@@ -18,7 +18,7 @@ from polishd.rendering.terminal import emit, record_table, stderr, stdout
 from polishd.util.extras import require_extra
 
 INI = "[pytest]\nasyncio_default_fixture_loop_scope = function\nfilterwarnings = default\n"
-KEPT, BROKEN, INTERRUPTED, REFUSED = 0, 1, 2, 4
+PASSED, FAILED, INTERRUPTED, USAGE_ERROR = 0, 1, 2, 4
 """Exit codes of pytest."""
 
 
@@ -42,13 +42,13 @@ def hil_verb(
 
     names = tuple(filter(None, simulate.split(",")))
     of = Level.of(level)
-    asked = HilRequest(cell=cell, level=of, max_force_n=max_force_n, simulate=names, motion=motion, record=record)
-    seen = foreseen(asked)
-    title, columns = f"{seen.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
-    does = list(seen.does())
+    request = HilRequest(cell=cell, level=of, max_force_n=max_force_n, simulate=names, motion=motion, record=record)
+    forecast = foreseen(request)
+    title, columns = f"{forecast.config.cell.name}: level {level}", ("device", "what it is", "what happens to it")
+    does = list(forecast.does())
     (stderr if as_json else stdout).print(record_table(title, columns, does))
-    with locked(seen.config.state_dir):
-        _ask(yes=yes)
+    with locked(forecast.config.state_dir):
+        _confirm(yes=yes)
     options = ["--cell", str(cell.resolve()), "--hil-level", level, "--hil-simulate", simulate]
     options += [] if max_force_n is None else ["--hil-max-force", str(max_force_n)]
     options += [] if motion is None else ["--hil-motion", str(motion.resolve())]
@@ -56,11 +56,11 @@ def hil_verb(
     code, found = _run([f"{suite}.py" for suite in SUITES], options, out=sys.stderr if as_json else None)
     if as_json:
         devices = [dict(zip(("device", "what", "does"), row, strict=True)) for row in does]
-        emit({"cell": seen.config.cell.name, "level": level, "devices": devices, **found}, as_json=True, table=str)
+        emit({"cell": forecast.config.cell.name, "level": level, "devices": devices, **found}, as_json=True, table=str)
     _judge(code)
 
 
-def _ask(*, yes: bool) -> None:
+def _confirm(*, yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
@@ -103,12 +103,12 @@ def _found(report: Path) -> dict[str, Any]:
 
 def _judge(code: int) -> None:
     """Turn an exit code of pytest into an error."""
-    if code == KEPT:
+    if code == PASSED:
         return
-    if code == BROKEN:
+    if code == FAILED:
         raise DeviceFault("a device does not meet the requirements of its port: see above and docs/how-to/drivers.md")
     if code == INTERRUPTED:
         raise typer.Exit(130)
-    if code == REFUSED:
+    if code == USAGE_ERROR:
         raise ConfigError("nothing was opened: see above")
     raise PolishdError(f"the suites could not be run: pytest ended with {code}, see above")

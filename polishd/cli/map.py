@@ -50,12 +50,12 @@ def figures(
     files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps", readable=False)],
     *,
     as_json: Json = False,
-    asked: FigureOptions,
+    options: FigureOptions,
 ) -> None:
     """Show shape, pitch, PV, RMS, bands and warnings of each map, as "polishd map FILE..."."""
     from polishd.maps.inspect import figures_verb
 
-    figures_verb(files, asked, as_json=as_json)
+    figures_verb(files, options, as_json=as_json)
 
 
 @app.command()
@@ -65,12 +65,12 @@ def compare(
     after: Annotated[Path, Argument(metavar="AFTER", help="Map after", readable=False)],
     *,
     as_json: Json = False,
-    asked: FigureOptions,
+    options: FigureOptions,
 ) -> None:
     """Compare PV, RMS and bands of two maps over their common samples, with the reduction."""
     from polishd.maps.compare import compare_verb
 
-    compare_verb(before, after, asked, as_json=as_json)
+    compare_verb(before, after, options, as_json=as_json)
 
 
 @app.command()
@@ -79,12 +79,12 @@ def report(
     files: Annotated[list[Path], Argument(metavar="FILE...", help="Maps", readable=False)],
     *,
     as_json: Json = False,
-    asked: ReportOptions,
+    options: ReportOptions,
 ) -> None:
     """Make a report for the customer, HTML or PDF: figures in nm and waves, ISO 10110, Zernike, slope, PSD."""
     from polishd.reports.map_report import report_verb
 
-    report_verb(files, asked, as_json=as_json)
+    report_verb(files, options, as_json=as_json)
 
 
 @app.command()
@@ -94,12 +94,12 @@ def convert(
     target: Annotated[Path, Argument(metavar="B", help="New file; its ending sets the format")],
     *,
     as_json: Json = False,
-    asked: WriteOptions,
+    options: WriteOptions,
 ) -> None:
     """Write a map in another format, after reading it back for comparison."""
     from polishd.maps.convert import convert_verb
 
-    convert_verb(source, target, asked, as_json=as_json)
+    convert_verb(source, target, options, as_json=as_json)
 
 
 @app.command()
@@ -108,12 +108,12 @@ def average(
     files: Annotated[list[Path], Argument(metavar="MAP...", help="Repeated maps", readable=False)],
     *,
     as_json: Json = False,
-    asked: AverageOptions,
+    options: AverageOptions,
 ) -> None:
     """Average repeated measurements without outlying maps and samples, with the uncertainty."""
     from polishd.maps.arithmetic import average_verb
 
-    average_verb(files, asked, as_json=as_json)
+    average_verb(files, options, as_json=as_json)
 
 
 @app.command()
@@ -123,12 +123,12 @@ def subtract(
     second: Annotated[Path, Argument(metavar="B", help="Map to subtract, such as a reference", readable=False)],
     *,
     as_json: Json = False,
-    asked: NewMapOptions,
+    options: NewMapOptions,
 ) -> None:
     """Subtract map B from map A over their common samples: a reference, a system error, a test stand's wavefront."""
     from polishd.maps.arithmetic import subtract_verb
 
-    subtract_verb(first, second, asked, as_json=as_json)
+    subtract_verb(first, second, options, as_json=as_json)
 
 
 @app.command()
@@ -139,12 +139,12 @@ def stitch(
     ],
     *,
     as_json: Json = False,
-    asked: StitchOptions,
+    options: StitchOptions,
 ) -> None:
     """Stitch overlapping sub-apertures into one map, by least squares of their alignments, with the uncertainty."""
     from polishd.maps.stitch import stitch_verb
 
-    stitch_verb(files, asked, as_json=as_json)
+    stitch_verb(files, options, as_json=as_json)
 
 
 @app.command()
@@ -153,12 +153,12 @@ def absolute(
     files: Annotated[list[Path], Argument(metavar="MAP...", help="One part, rotated and shifted", readable=False)],
     *,
     as_json: Json = False,
-    asked: AbsoluteOptions,
+    options: AbsoluteOptions,
 ) -> None:
     """Separate the instrument's error from the part, from maps of a rotated and shifted part; list unmeasured terms."""
     from polishd.maps.absolute_test import absolute_verb
 
-    absolute_verb(files, asked, as_json=as_json)
+    absolute_verb(files, options, as_json=as_json)
 
 
 @app.command()

@@ -90,8 +90,8 @@ def dialects(as_json: Json = False) -> None:
 
 @app.command()
 @spread_options
-def make(asked: MakeOptions, as_json: Json = False) -> None:
+def make(options: MakeOptions, as_json: Json = False) -> None:
     """Make a path over a flat, spherical or aspheric aperture, with the tool along its normals."""
     from polishd.programs.make import make_verb
 
-    make_verb(asked, as_json=as_json)
+    make_verb(options, as_json=as_json)

@@ -26,47 +26,49 @@ def add_verb(cell: Path, files: Sequence[Path], *, as_json: bool) -> None:
     config, hooks = load_cell(cell)
     jobs = check_jobs(config, hooks, files)
     texts = [{"path": str(job.file.path), "content": job.file.text} for job in jobs]
-    _ask(config, "queue_add", files=texts, by=terminal_user())
+    _request(config, "queue_add", files=texts, by=terminal_user())
     list_verb(cell, as_json=as_json)
 
 
 def list_verb(cell: Path, *, as_json: bool) -> None:
     """Show the queue."""
     config = load_config(cell)
-    _show(config, _ask(config, "queue_list"), as_json=as_json)
+    _show(config, _request(config, "queue_list"), as_json=as_json)
 
 
 def move_verb(cell: Path, job: str, where: str, other: str, *, as_json: bool) -> None:
     """Change the order."""
     config = load_config(cell)
-    _show(config, _ask(config, "queue_move", job=job, where=where, other=other, by=terminal_user()), as_json=as_json)
+    _show(
+        config, _request(config, "queue_move", job=job, where=where, other=other, by=terminal_user()), as_json=as_json
+    )
 
 
 def remove_verb(cell: Path, job: str, reason: str, *, as_json: bool) -> None:
     """Remove a job."""
     config = load_config(cell)
-    _show(config, _ask(config, "queue_remove", job=job, reason=reason, by=terminal_user()), as_json=as_json)
+    _show(config, _request(config, "queue_remove", job=job, reason=reason, by=terminal_user()), as_json=as_json)
 
 
-def _ask(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
+def _request(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, Any]:
     try:
-        answer = client.request(config.state_dir, verb, args=arguments)
+        reply = client.request(config.state_dir, verb, args=arguments)
     except NoDaemon:
         with Queue.at_rest(config.state_dir) as queue:
-            return run_loop(_answered(QueueRequests(config, queue), verb, arguments))
-    if not answer["ok"]:
-        refusal = PolishdError(answer["error"])
-        refusal.exit_code = answer.get("exit_code", refusal.exit_code)
+            return run_loop(_handle_at_rest(QueueRequests(config, queue), verb, arguments))
+    if not reply["ok"]:
+        refusal = PolishdError(reply["error"])
+        refusal.exit_code = reply.get("exit_code", refusal.exit_code)
         raise refusal
-    return answer
+    return reply
 
 
-async def _answered(desk: QueueRequests, verb: str, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-    return await desk.handlers[verb](**arguments)
+async def _handle_at_rest(requests: QueueRequests, verb: str, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
+    return await requests.handlers[verb](**arguments)
 
 
-def _show(config: CellConfig, answer: Mapping[str, Any], *, as_json: bool) -> None:
-    found = {"jobs": answer["jobs"]}
+def _show(config: CellConfig, reply: Mapping[str, Any], *, as_json: bool) -> None:
+    found = {"jobs": reply["jobs"]}
     rows = [
         (job["name"], job["part_id"], job["state"], utc_minute(job["added_s"]), job["reason"]) for job in found["jobs"]
     ]

@@ -171,8 +171,8 @@ def run_verb(
     if summaries and len(cells) == 1:
         emit(summaries[""], as_json=as_json, table=lambda: _table(summaries[""]))
     elif summaries:
-        whole = {"exit_code": worst_exit_code(codes), "cells": {name: _facts(found) for (name, _), found in named}}
-        emit(whole, as_json=as_json, table=lambda: Group(*map(_table, summaries.values())))
+        combined = {"exit_code": worst_exit_code(codes), "cells": {name: _facts(found) for (name, _), found in named}}
+        emit(combined, as_json=as_json, table=lambda: Group(*map(_table, summaries.values())))
     for (name, cell), found in named:
         _print_cell_end(found, cell, f"{name}: " if name else "")
     return worst_exit_code(codes)

@@ -134,12 +134,12 @@ PROCESSES: Mapping[Beside, _Process] = {
 
 def unit_beside(process: Beside, path: Path, *, system: bool) -> tuple[str, str]:
     """Return the unit's name and text; raise ConfigError of its file."""
-    asked = PROCESSES[process]
-    name, owner = asked.name(path), path.stat().st_uid
+    process_kind = PROCESSES[process]
+    name, owner = process_kind.name(path), path.stat().st_uid
     text = SERVER_UNIT.format(
-        what=" ".join(asked.words),
+        what=" ".join(process_kind.words),
         name=name.replace("%", "%%"),
-        command=command_line([*asked.words, str(path.absolute())]),
+        command=command_line([*process_kind.words, str(path.absolute())]),
         account=f"User={account_name(owner)}\n" if system and owner else "",
         wrong_use=WRONG_USE,
         wrong_file=ConfigError.exit_code,

@@ -106,7 +106,7 @@ def release(
     """Release a part for another cell. Its cell keeps it until it has returned it."""
     from polishd.cli.shop_commands import release_verb
 
-    release_verb(shop, job, by, reason, gone=cell_is_gone, as_json=as_json)
+    release_verb(shop, job, by, reason, cell_is_gone=cell_is_gone, as_json=as_json)
 
 
 @app.command("remove")

@@ -16,7 +16,7 @@ from polishd.shop import parts, server
 from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.link import ShopLink
 from polishd.shop.parts import digests, read_part
-from polishd.shop.server import cells_of, people_of, serve
+from polishd.shop.server import cells_of, serve, users_of
 from polishd.util.command_line import terminal_user
 from polishd.web.http.users import Role, UserFile
 
@@ -32,16 +32,16 @@ def serve_verb(
 ) -> None:
     """Add or remove a token, or serve."""
     shop = load_shop(path)
-    cells, people = cells_of(shop), people_of(shop)
+    cells, users = cells_of(shop), users_of(shop)
     if add_cell is not None:
         _add_token(cells, add_cell, Role.WATCH, "is a cell of this shop")
     elif add_user is not None:
-        _add_token(people, add_user, Role(role), f"has the role {role}")
+        _add_token(users, add_user, Role(role), f"has the role {role}")
     elif remove_cell is not None:
         cells.remove(remove_cell)
         say(f"cell {remove_cell} was removed; it keeps its parts", err=True)
     elif remove_user is not None:
-        people.remove(remove_user)
+        users.remove(remove_user)
         say(f"user {remove_user} was removed", err=True)
     else:
         if not cells:
@@ -70,7 +70,7 @@ def add_verb(path: Path, files: Sequence[Path], by: str, *, as_json: bool) -> No
 
 def list_verb(path: Path, *, as_json: bool) -> None:
     """Show the parts, and the last decisions on them."""
-    found = _in(path, lambda sql: {**server.parts_view(sql), "words": server.words(sql)})
+    found = _in(path, lambda sql: {**server.parts_view(sql), "words": server.decisions(sql)})
     columns = ("job", "part", "state", "cell", "added", "verdict", "why")
     rows = [
         (
@@ -93,8 +93,8 @@ def status_verb(path: Path, *, as_json: bool) -> None:
     found = _in(path, lambda sql: server.status_view(sql, cells))
     columns = ("cell", "last report, s", "state", "job", "why", "its parts", "passes")
     rows = [
-        (one["cell"], _heard(one), one.get("state", ""), one.get("job") or "", one.get("reason") or "", one["claims"],
-         one["passes"])
+        (one["cell"], _last_report(one), one.get("state", ""), one.get("job") or "", one.get("reason") or "",
+         one["claims"], one["passes"])
         for one in found["cells"]
     ]  # fmt: skip
     title = "; ".join(f"{count} {state}" for state, count in found["parts"].items()) or "no parts"
@@ -125,10 +125,10 @@ def shop_estimates_verb(path: Path, *, as_json: bool) -> None:
     emit(found, as_json=as_json, table=lambda: figure_table("estimates of the cells", columns, rows))
 
 
-def release_verb(path: Path, job: str, by: str, why: str, *, gone: bool, as_json: bool) -> None:
+def release_verb(path: Path, job: str, by: str, why: str, *, cell_is_gone: bool, as_json: bool) -> None:
     """Release a part; the shop's journal records the user's name."""
-    said = _in(path, lambda sql: parts.release(sql, job, by, why, gone=gone))
-    emit({"job": job, "said": said}, as_json=as_json, lines=[said])
+    message = _in(path, lambda sql: parts.release(sql, job, by, why, gone=cell_is_gone))
+    emit({"job": job, "said": message}, as_json=as_json, lines=[message])
 
 
 def remove_verb(path: Path, job: str, by: str, why: str, *, as_json: bool) -> None:
@@ -155,7 +155,7 @@ def _why(one: Mapping[str, Any]) -> str:
     return "; ".join(filter(None, (one["reason"], back, one["not_for"])))
 
 
-def _heard(cell: Mapping[str, Any]) -> str:
+def _last_report(cell: Mapping[str, Any]) -> str:
     if cell["heard_s"] is None:
         return "never: does polishd shop connect CELL.toml run there?"
     return f"{cell['heard_s']:.0f}{' (away)' if cell['away'] else ''}"

@@ -76,8 +76,8 @@ def _included_files(raw: Mapping[str, Any]) -> list[str]:
 
 def end_rows(facts: Mapping[str, Any], cell: Path) -> list[tuple[str, str]]:
     """Return names and texts of a summary, a state event or a status; commands in them name that cell."""
-    standing = CellSafety.of(facts)
-    rows = [*standing.rows(), ("run folder", facts.get("run_dir", "")), ("next", standing.next)]
+    safety = CellSafety.of(facts)
+    rows = [*safety.rows(), ("run folder", facts.get("run_dir", "")), ("next", safety.next)]
     return [(name, for_cell(text, cell)) for name, text in rows if text]
 
 
@@ -117,8 +117,8 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
 
 
 def _refused(facts: Mapping[str, Any]) -> str:
-    kept = f"; the file is in {facts['kept']}" if facts["kept"] else ""
-    return f"{facts['file']}: {facts['kind']}: {facts['reason']}{kept}. To do: {facts['todo']}"
+    copy = f"; the file is in {facts['kept']}" if facts["kept"] else ""
+    return f"{facts['file']}: {facts['kind']}: {facts['reason']}{copy}. To do: {facts['todo']}"
 
 
 def _measured(cycle: Mapping[str, Any]) -> str:
@@ -134,9 +134,9 @@ def _figure(facts: Mapping[str, Any]) -> str:
 
 def _device(facts: Mapping[str, Any]) -> str:
     who = " ".join(facts[key] for key in ("vendor", "model", "serial") if facts.get(key))
-    heard_s = facts.get("heard_s_ago")
-    heard = "" if heard_s is None else f", answered {heard_s:.1f} s ago"
-    return who + heard + ("" if facts["used"] else " (not used by this job)")
+    last_reply_s = facts.get("heard_s_ago")
+    age = "" if last_reply_s is None else f", answered {last_reply_s:.1f} s ago"
+    return who + age + ("" if facts["used"] else " (not used by this job)")
 
 
 def _print_last(last: Mapping[str, Any], name: str, cell: Path) -> None:

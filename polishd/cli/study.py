@@ -33,13 +33,13 @@ app = typer.Typer(
 @spread_options
 def run(
     file: Annotated[Path, Argument(metavar="STUDY.toml", help="The study's configuration")],
-    asked: StudyOptions,
+    options: StudyOptions,
     as_json: Json = False,
 ) -> None:
     """Run a study, as `polishd study STUDY.toml`."""
     from polishd.studies.run import study_verb
 
-    study_verb(file, asked, as_json=as_json)
+    study_verb(file, options, as_json=as_json)
 
 
 @app.command()

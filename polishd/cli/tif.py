@@ -109,10 +109,10 @@ def tif_verb(cell: Path, ratio: float, out: Path | None, *, as_json: bool) -> No
         "profile_x": {"x_mm": figures.x_mm, "rate_nm_s": figures.profile_x_nm_s},
         "profile_y": {"y_mm": figures.y_mm, "rate_nm_s": figures.profile_y_nm_s},
     }
-    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio), lines=_written(out))
+    emit(answer, as_json=as_json, table=lambda: _tif_table(config, figures, ratio), lines=_file_lines(out))
 
 
-def _written(out: Path | None) -> list[str]:
+def _file_lines(out: Path | None) -> list[str]:
     return [] if out is None else [f"written to {out}"]
 
 
@@ -167,7 +167,7 @@ def compliance_verb(cell: Path, program: Path | None, out: Path | None, *, as_js
     if out is not None:
         save_picture(out, compliance_picture(field, along))
     title = f"{config.cell.name}: compliance ({config.compliance.projection})"
-    emit(answer, as_json=as_json, table=lambda: key_table(title, rows), lines=_written(out))
+    emit(answer, as_json=as_json, table=lambda: key_table(title, rows), lines=_file_lines(out))
 
 
 def _ranges(compliance_um_per_n: FloatArray, gamma: FloatArray) -> dict[str, dict[str, float | None]]:
@@ -175,16 +175,16 @@ def _ranges(compliance_um_per_n: FloatArray, gamma: FloatArray) -> dict[str, dic
 
 
 def _range(values: FloatArray) -> dict[str, float | None]:
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return dict.fromkeys(("min", "max", "mean"))
-    return {"min": float(known.min()), "max": float(known.max()), "mean": float(known.mean())}
+    return {"min": float(finite.min()), "max": float(finite.max()), "mean": float(finite.mean())}
 
 
 def _workspace_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows = [
-        ("over the workspace", f"{_words(found['compliance_um_per_n'])} um/N"),
-        ("gamma there", _words(found["gamma"])),
+        ("over the workspace", f"{_range_text(found['compliance_um_per_n'])} um/N"),
+        ("gamma there", _range_text(found["gamma"])),
         ("places", f"{found['places']}, {found['out_of_reach']} of them out of reach"),
     ]
     if found["undefined"]:
@@ -193,14 +193,14 @@ def _workspace_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _program_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    compliance = f"{_words(found['compliance_um_per_n'])} um/N at {found['points']} timed points"
-    return [(f"along {found['name']}", compliance), ("gamma there", _words(found["gamma"]))]
+    compliance = f"{_range_text(found['compliance_um_per_n'])} um/N at {found['points']} timed points"
+    return [(f"along {found['name']}", compliance), ("gamma there", _range_text(found["gamma"]))]
 
 
-def _words(known: Mapping[str, float | None]) -> str:
-    if known["mean"] is None:
+def _range_text(figures: Mapping[str, float | None]) -> str:
+    if figures["mean"] is None:
         return "none"
-    return f"{known['min']:.3f} to {known['max']:.3f}, mean {known['mean']:.3f}"
+    return f"{figures['min']:.3f} to {figures['max']:.3f}, mean {figures['mean']:.3f}"
 
 
 # ``polishd compliance --place``: where the part lies best.
@@ -244,7 +244,7 @@ def placement_verb(cell: Path, within_mm: float, removal_nm: float, out: Path | 
         answer,
         as_json=as_json,
         table=lambda: _placement_table(config, found),
-        lines=[*_gain_lines(found), "", *fragment.splitlines(), *_written(out)],
+        lines=[*_gain_lines(found), "", *fragment.splitlines(), *_file_lines(out)],
     )
 
 
@@ -264,10 +264,10 @@ def _placement_table(config: CellConfig, found: PlacementSearch) -> Table:
 
 
 def _gain_lines(found: PlacementSearch) -> list[str]:
-    said = f"error: RMS that {found.removal_nm:g} nm mean removal without correction leaves of gamma's change"
+    heading = f"error: RMS that {found.removal_nm:g} nm mean removal without correction leaves of gamma's change"
     if found.gain_nm is None:
-        return [said]
-    return [said, f"the best place is worth {found.gain_nm:.4f} nm; with process.correction on, less than that"]
+        return [heading]
+    return [heading, f"the best place is worth {found.gain_nm:.4f} nm; with process.correction on, less than that"]
 
 
 def placement_picture(found: PlacementSearch) -> bytes:

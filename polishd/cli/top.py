@@ -26,9 +26,9 @@ from polishd.model.tolerance import line_results, worst_line
 from polishd.rendering.terminal import stdout
 from polishd.web.watcher import OLD_S
 
-LOOK_S = 0.5
+POLL_S = 0.5
 """Period of polls."""
-ANSWER_S = 1.0
+REPLY_TIMEOUT_S = 1.0
 """Time limit of an answer."""
 CYCLES_S = 5.0
 """Period of polls of the measurements, which change once in a pass."""
@@ -42,21 +42,21 @@ class CellView:
     path: Path
     live: Mapping[str, Any] = field(default_factory=dict)
     """The last answer to ``live``; empty before the first."""
-    heard_s: float | None = None
+    last_reply_s: float | None = None
     """Monotonic time of the last answer."""
     cycles: Sequence[Mapping[str, Any]] = ()
-    asked_s: float = float("-inf")
+    cycles_read_s: float = float("-inf")
     trouble: str = ""
     """Reason why there is no answer now."""
 
     def look(self) -> None:
         """Poll its daemon."""
         try:
-            self.live = client.request(self.config.state_dir, "live", ANSWER_S)
-            self.heard_s, self.trouble = time.monotonic(), ""
-            if self.heard_s - self.asked_s > CYCLES_S:
-                self.cycles = client.request(self.config.state_dir, "status", ANSWER_S).get("cycles", [])
-                self.asked_s = self.heard_s
+            self.live = client.request(self.config.state_dir, "live", REPLY_TIMEOUT_S)
+            self.last_reply_s, self.trouble = time.monotonic(), ""
+            if self.last_reply_s - self.cycles_read_s > CYCLES_S:
+                self.cycles = client.request(self.config.state_dir, "status", REPLY_TIMEOUT_S).get("cycles", [])
+                self.cycles_read_s = self.last_reply_s
         except NoDaemon:
             self.trouble = "NO DAEMON RUNS"
         except PolishdError as error:
@@ -77,7 +77,7 @@ def top_verb(cells: Sequence[Path], *, once: bool) -> None:
             for one in seen:
                 one.look()
             screen.update(picture(seen, time.monotonic()), refresh=True)
-            pause.wait(LOOK_S)
+            pause.wait(POLL_S)
 
 
 def picture(seen: Sequence[CellView], now_s: float) -> RenderableType:
@@ -91,7 +91,7 @@ def _panel(one: CellView, now_s: float) -> Panel:
         last = last_ending(one.config.state_dir)
         ended: list[Row] = [(what, for_cell(text, one.path)) for what, text in CellSafety.of(last).rows() if text]
         return Panel(_table(ended), title=Text(f"{name}: {one.trouble}"), border_style="red")
-    passed_s = 0.0 if one.heard_s is None else now_s - one.heard_s
+    passed_s = 0.0 if one.last_reply_s is None else now_s - one.last_reply_s
     rows = list(_rows(one, passed_s))
     phase = f", {live['phase']}" if live.get("phase") else ""
     title, style = f"{name}: {live.get('state')}{phase}", "yellow" if live.get("state") == "held" else "green"
@@ -128,7 +128,7 @@ def _rows(one: CellView, passed_s: float) -> Iterator[Row]:
     yield from ((name, Text(for_cell(str(live[name]), one.path))) for name in TEXTS if live.get(name))
     if one.cycles:
         yield "figure", Text(_figure(one.cycles))
-        if (left := _left(one.cycles[-1])) is not None:
+        if (left := _time_left(one.cycles[-1])) is not None:
             yield "pass", left
     yield "tool", Text("ON THE PART" if live.get("pressing") else "off the part")
     yield from _readings(live, passed_s)
@@ -173,7 +173,7 @@ def _figure(cycles: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _left(cycle: Mapping[str, Any]) -> RenderableType | None:
+def _time_left(cycle: Mapping[str, Any]) -> RenderableType | None:
     """Return the progress of the present pass by time in contact."""
     if cycle.get("how") != "begun" or not cycle.get("dwell_s"):
         return None

@@ -178,9 +178,9 @@ class OpcUaJobs:
     def __init__(self, server: Server, control: Node, responses: Node, results: Node) -> None:
         self._server, self._control, self._responses, self._results = server, control, responses, results
         self._isa95 = 0
-        self._shown: tuple[OpcUaJob, ...] | None = None
-        self._going: bool | None = None
-        self._places: list[tuple[Node, Node, Node]] = []
+        self._published: tuple[OpcUaJob, ...] | None = None
+        self._is_running: bool | None = None
+        self._result_nodes: list[tuple[Node, Node, Node]] = []
 
     @classmethod
     async def added(cls, server: Server, management: Node, results: Node) -> OpcUaJobs:
@@ -213,19 +213,19 @@ class OpcUaJobs:
         server.link_method(by_state, found._by_state)
         return found
 
-    async def update(self, orders: Sequence[OpcUaJob] | None, going: bool | None) -> None:
+    async def update(self, orders: Sequence[OpcUaJob] | None, is_running: bool | None) -> None:
         """Show the jobs of the journal; None: it cannot be read.
 
-        ``going``: the job under way continues; None: its state is unknown.
+        ``is_running``: the job under way continues; None: its state is unknown.
         """
         now = None if orders is None else tuple(orders)
-        if (now, going) == (self._shown, self._going) and now is not None:
+        if (now, is_running) == (self._published, self._is_running) and now is not None:
             return
-        self._shown, self._going = now, going
+        self._published, self._is_running = now, is_running
         current = await self._control.get_child("0:CurrentState")
         number = await current.get_child("0:Id")
         orders_list = await self._control.get_child(ua.QualifiedName("JobOrderList", self._isa95))
-        if now is None or going is None:
+        if now is None or is_running is None:
             await self._write(nothing(Status.BadNoCommunication), current, number, orders_list, self._responses)
         else:
             await self._write(good(_several([self._and_state(order) for order in now])), orders_list)
@@ -240,17 +240,17 @@ class OpcUaJobs:
             await self._write(nothing(Status.BadNoData), current, number)
             return
         states = {"Running": 5037, "Interrupted": 5038}
-        await self._write(good(ua.LocalizedText(self._said(order), "en")), current)
-        await self._write(good(node_id(states[self._said(order)], self._isa95)), number)
+        await self._write(good(ua.LocalizedText(self._state_name(order), "en")), current)
+        await self._write(good(node_id(states[self._state_name(order)], self._isa95)), number)
 
     async def _results_are(self, ended: Sequence[OpcUaJob] | None) -> None:
         """Show the latest results first, in as many variables as there ever were results."""
         latest = [] if ended is None else list(reversed(ended))[:MOST_RESULTS]
-        while len(self._places) < len(latest):
-            self._places.append(await self._place(len(self._places) + 1))
-        for place, nodes in enumerate(self._places):
-            if place < len(latest):
-                found = _result(latest[place])
+        while len(self._result_nodes) < len(latest):
+            self._result_nodes.append(await self._add_result_nodes(len(self._result_nodes) + 1))
+        for number, nodes in enumerate(self._result_nodes):
+            if number < len(latest):
+                found = _result(latest[number])
                 values = (found, found.ResultMetaData, found.ResultMetaData.ResultId)
                 for node, value in zip(nodes, values, strict=True):
                     await self._write(good(value), node)
@@ -258,7 +258,7 @@ class OpcUaJobs:
                 why = Status.BadNoCommunication if ended is None else Status.BadNoData
                 await self._write(nothing(why), *nodes)
 
-    async def _place(self, number: int) -> tuple[Node, Node, Node]:
+    async def _add_result_nodes(self, number: int) -> tuple[Node, Node, Node]:
         """Add a result node with the mandatory parts of the model."""
         space = await self._server.get_namespace_index(RESULTS)
         own = self._results.nodeid.NamespaceIndex
@@ -275,13 +275,13 @@ class OpcUaJobs:
         for node in nodes:
             await self._server.write_attribute_value(node.nodeid, value)
 
-    def _said(self, order: OpcUaJob) -> str:
+    def _state_name(self, order: OpcUaJob) -> str:
         """State of the job; a job under way counts as interrupted while no daemon works on it."""
-        return "Interrupted" if order.state == "Running" and not self._going else order.state
+        return "Interrupted" if order.state == "Running" and not self._is_running else order.state
 
     def _states(self, order: OpcUaJob) -> list[Any]:
         """The top state only, with a null path: there are no substates."""
-        name = self._said(order)
+        name = self._state_name(order)
         text, number = ua.LocalizedText(name, "en"), STATES.index(name) + 1
         return [TYPES.ISA95StateDataType(BrowsePath=ua.RelativePath(), StateText=text, StateNumber=number)]
 
@@ -298,34 +298,37 @@ class OpcUaJobs:
     def _response(self, order: OpcUaJob) -> Any:
         return TYPES.ISA95JobResponseDataType(
             JobResponseID=order.id, JobOrderID=order.name, JobState=self._states(order),
-            Description=ua.LocalizedText(_words(order), "en"), StartTime=_time(order.began_s),
+            Description=ua.LocalizedText(_description(order), "en"), StartTime=_time(order.began_s),
             EndTime=_time(order.ended_s), JobResponseData=[_parameter(one) for one in order.figures],
         )  # fmt: skip
 
     async def _by_id(self, _: Any, job: ua.Variant) -> Any:
         """RequestJobResponseByJobOrderID: the last job of that name."""
-        if (known := self._known()) is None:
+        if (reported := self._reported_jobs()) is None:
             return _unreadable()
-        found = next((one for one in reversed(known) if one.name == job.Value), None)
+        found = next((one for one in reversed(reported) if one.name == job.Value), None)
         answer = TYPES.ISA95JobResponseDataType() if found is None else self._response(found)
         return [ua.Variant(answer), _status(UNKNOWN_JOB if found is None else NO_ERROR)]
 
     async def _by_state(self, _: Any, states: ua.Variant) -> Any:
         """RequestJobResponseByJobOrderState: all jobs in that state; it has no substates."""
-        if (known := self._known()) is None:
+        if (reported := self._reported_jobs()) is None:
             return _unreadable()
         top = next((one for one in states.Value or () if not one.BrowsePath.Elements), None)
         if top is None:
             return [_several([]), _status(INVALID)]
-        if (asked := _name(top)) is None or len(states.Value) > 1:
+        if (requested := _name(top)) is None or len(states.Value) > 1:
             return [_several([]), _status(UNKNOWN_STATE)]
-        return [_several([self._response(one) for one in known if self._said(one) == asked]), _status(NO_ERROR)]
+        return [
+            _several([self._response(one) for one in reported if self._state_name(one) == requested]),
+            _status(NO_ERROR),
+        ]
 
-    def _known(self) -> list[OpcUaJob] | None:
+    def _reported_jobs(self) -> list[OpcUaJob] | None:
         """Jobs that have a response."""
-        if self._shown is None or self._going is None:
+        if self._published is None or self._is_running is None:
             return None
-        return [one for one in self._shown if one.number is not None]
+        return [one for one in self._published if one.number is not None]
 
 
 def _result(order: OpcUaJob) -> Any:
@@ -337,7 +340,7 @@ def _result(order: OpcUaJob) -> Any:
     meta = TYPES.ResultMetaDataType(
         ResultId=order.id, IsPartial=False, ResultState=COMPLETED, PartId=order.part_id, JobId=order.name,
         CreationTime=_time(order.ended_s), ProcessingTimes=times, ResultEvaluation=verdict,
-        ResultEvaluationDetails=ua.LocalizedText(_words(order), "en"),
+        ResultEvaluationDetails=ua.LocalizedText(_description(order), "en"),
     )  # fmt: skip
     content = [ua.Variant(_pair(one)) for one in (OpcUaResultValue("Outcome", order.end), *order.figures)]
     return TYPES.ResultDataType(ResultMetaData=meta, ResultContent=content)
@@ -347,7 +350,7 @@ def _accepted(order: OpcUaJob) -> bool:
     return order.end == Outcome.IN_TOLERANCE or (order.end == "accepted" and order.holds is not False)
 
 
-def _words(order: OpcUaJob) -> str:
+def _description(order: OpcUaJob) -> str:
     """Texts of end and reason."""
     return ": ".join(filter(None, (order.end.replace("_", " "), order.why))) or "under way"
 

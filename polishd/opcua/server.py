@@ -59,7 +59,7 @@ class OperationMode(IntEnum):
     Setup = 5027
 
     @property
-    def said(self) -> str:
+    def browse_name(self) -> str:
         """Browse name of the state."""
         return "None" if self is OperationMode.Nothing else self.name
 
@@ -81,7 +81,7 @@ STATES: Mapping[str, MachineStates] = {
 }
 """States by the daemon's state. A held cell is out of service until a person has removed the cause and resumed it."""
 NO_DAEMON = MachineStates(ItemState.NotAvailable, OperationMode.Nothing)
-GOING = {"starting", "changing", "polishing"}
+CONTINUING = {"starting", "changing", "polishing"}
 """States in which a job under way continues; in the others it is interrupted."""
 
 
@@ -99,10 +99,10 @@ DEFAULTS = re.compile(
 """Empty values of types' structures, which asyncua cannot read; a type's value is never used."""
 MACHINES, ITEM_STATE, IDENTIFICATION, OPERATION_MODE = 1001, 1002, 1012, 1008
 """Nodes of Machinery: the folder of machines, and types."""
-TEXT, NUMBER, WHOLE, BOOLEAN = (
+TEXT, NUMBER, INTEGER, BOOLEAN = (
     ua.VariantType.String, ua.VariantType.Double, ua.VariantType.Int64, ua.VariantType.Boolean,
 )  # fmt: skip
-EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, WHOLE: 0, BOOLEAN: False}
+EMPTY: Mapping[ua.VariantType, Any] = {TEXT: "", NUMBER: 0.0, INTEGER: 0, BOOLEAN: False}
 """Initial values of variables; they are set to unknown before a client can connect."""
 
 
@@ -121,7 +121,7 @@ SHOWN = (
     OpcUaVariable("Next", ("next",), TEXT, "What a person is to do."),
     OpcUaVariable("Job", ("job",), TEXT, "The job under way."),
     OpcUaVariable("Part", ("part",), TEXT, "Its part."),
-    OpcUaVariable("Cycle", ("cycle",), WHOLE, "Number of the cycle under way; the first is 0."),
+    OpcUaVariable("Cycle", ("cycle",), INTEGER, "Number of the cycle under way; the first is 0."),
     OpcUaVariable("Phase", ("phase",), TEXT, "Of the cycle."),
     OpcUaVariable("Pressing", ("pressing",), BOOLEAN, "The tool is on the part."),
     OpcUaVariable("Force_N", ("readings", "force", "force_n"), NUMBER, "Force that the actuator measures, N."),
@@ -141,7 +141,7 @@ class OpcUaMachine:
         item: tuple[Node, Node],
         jobs: OpcUaJobs,
     ) -> None:
-        self._server, self._namespace, self._own = server, namespace, own
+        self._server, self._namespace, self._variable_nodes = server, namespace, own
         (self._state, self._mode), self._jobs = item, jobs
 
     @classmethod
@@ -169,8 +169,8 @@ class OpcUaMachine:
             return node
 
         di = await server.get_namespace_index(DI)
-        who = await block("Identification", IDENTIFICATION, di, machinery)
-        await _identify(who, name, section, (di, machinery, own))
+        identification = await block("Identification", IDENTIFICATION, di, machinery)
+        await _identify(identification, name, section, (di, machinery, own))
         state = await block("MachineryItemState", ITEM_STATE, machinery)
         mode = await block("MachineryOperationMode", OPERATION_MODE, machinery)
         management = await block("JobManagement", JOB_MANAGEMENT, await server.get_namespace_index(JOBS))
@@ -191,25 +191,28 @@ class OpcUaMachine:
     async def update(self, live: Mapping[str, Any], orders: Sequence[OpcUaJob] | None) -> None:
         """Show the daemon's answer to ``live``, and the jobs of the journal (None: it cannot be read)."""
         now = datetime.now(UTC)
-        await self._said(STATES[live["state"]])
-        await self._jobs.update(orders, live["state"] in GOING)
-        for one, node in self._own.items():
+        await self._show_states(STATES[live["state"]])
+        await self._jobs.update(orders, live["state"] in CONTINUING)
+        for one, node in self._variable_nodes.items():
             await self._server.write_attribute_value(node.nodeid, _of(live, one, now))
 
     async def no_daemon(self, orders: Sequence[OpcUaJob] | None) -> None:
         """Show that no daemon runs: the machine is not available, and only the journal is known."""
-        await self._said(NO_DAEMON)
-        await self._jobs.update(orders, going=False)
-        await self._unknown(self._own.values(), Status.BadNoCommunication)
+        await self._show_states(NO_DAEMON)
+        await self._jobs.update(orders, is_running=False)
+        await self._unknown(self._variable_nodes.values(), Status.BadNoCommunication)
 
     async def silent(self, orders: Sequence[OpcUaJob] | None) -> None:
         """Show a daemon that does not answer (yet): only the ends of earlier jobs are known."""
         nodes = [part for machine in (self._state, self._mode) for part in await _current(machine)]
-        await self._jobs.update(orders, going=None)
-        await self._unknown([*nodes, *self._own.values()], Status.BadNoCommunication)
+        await self._jobs.update(orders, is_running=None)
+        await self._unknown([*nodes, *self._variable_nodes.values()], Status.BadNoCommunication)
 
-    async def _said(self, said: MachineStates) -> None:
-        for machine, state, word in ((self._state, said.item, said.item.name), (self._mode, said.mode, said.mode.said)):
+    async def _show_states(self, states: MachineStates) -> None:
+        for machine, state, word in (
+            (self._state, states.item, states.item.name),
+            (self._mode, states.mode, states.mode.browse_name),
+        ):
             current, number = await _current(machine)
             node = node_id(int(state), self._namespace)
             text = ua.LocalizedText(word, "en")
@@ -277,9 +280,9 @@ def _of(live: Mapping[str, Any], one: OpcUaVariable, now: datetime) -> ua.DataVa
     return data_value(ua.Variant(found, one.kind), status, now - timedelta(seconds=age_s))
 
 
-LOOK_S = 1.0
+POLL_S = 1.0
 """Interval between two requests."""
-ANSWER_S = 0.8
+REPLY_TIMEOUT_S = 0.8
 """Time without an answer after which the daemon counts as silent."""
 ADDRESS = "127.0.0.1"
 """OPC UA beyond this computer needs certificates on both sides, which polishd lacks: docs/how-to/plant-systems.md."""
@@ -309,12 +312,12 @@ async def serving(name: str, state_dir: Path, section: OpcUaSection) -> AsyncIte
     machine = await OpcUaMachine.added(server, name, section)
     # a fault of the polling task ends the server, so that no stale values remain
     async with server, asyncio.TaskGroup() as group:
-        asking = group.create_task(_ask_on(machine, state_dir))
+        polling = group.create_task(_poll_daemon(machine, state_dir))
         try:
             port = section.port if server.bserver is None else server.bserver.port
             yield f"opc.tcp://{ADDRESS}:{port}/"
         finally:
-            asking.cancel()
+            polling.cancel()
 
 
 async def serve(name: str, state_dir: Path, section: OpcUaSection) -> None:
@@ -328,18 +331,18 @@ async def serve(name: str, state_dir: Path, section: OpcUaSection) -> None:
         await stop.wait()
 
 
-async def _ask_on(machine: OpcUaMachine, state_dir: Path) -> None:
+async def _poll_daemon(machine: OpcUaMachine, state_dir: Path) -> None:
     while True:
         orders = await asyncio.to_thread(_orders, state_dir)
         try:
-            live = await asyncio.to_thread(client.request, state_dir, "live", ANSWER_S)
+            live = await asyncio.to_thread(client.request, state_dir, "live", REPLY_TIMEOUT_S)
         except NoDaemon:
             await machine.no_daemon(orders)
         except (PolishdError, OSError):  # OSError: too many open files
             await machine.silent(orders)
         else:
             await (machine.update(live, orders) if live.get("state") in STATES else machine.silent(orders))
-        await asyncio.sleep(LOOK_S)
+        await asyncio.sleep(POLL_S)
 
 
 def _orders(state_dir: Path) -> tuple[OpcUaJob, ...] | None:

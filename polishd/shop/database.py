@@ -172,9 +172,9 @@ class DatabaseTransaction:
         sql = f"INSERT OR {conflict} INTO {table} ({', '.join(values)}) VALUES ({marks})"  # noqa: S608 - our own words
         self.run(sql, *values.values())
 
-    def word(self, who: str, what: str, job: str, cell: str = "", why: str = "") -> None:
+    def log_decision(self, author: str, action: str, job: str, cell: str = "", why: str = "") -> None:
         """Record a decision of the shop and its author."""
-        row = {"at": time.time(), "who": who, "what": what, "job": job, "cell": cell, "why": why}
+        row = {"at": time.time(), "who": author, "what": action, "job": job, "cell": cell, "why": why}
         self.insert("word", row)
 
 
@@ -228,8 +228,8 @@ def take(sql: DatabaseTransaction, cell: str, report: CellReport) -> int:
     now = {"name": cell, "heard": time.time(), "now": json.dumps(dict(report.now))}
     sql.insert("cell", now, conflict="REPLACE")
     key = {"cell": cell, "journal": report.journal}
-    known = sql.row("SELECT upto, tail FROM feed WHERE cell = ? AND journal = ?", *key.values())
-    upto, tail = (0, "") if known is None else (known["upto"], known["tail"])
+    stored = sql.row("SELECT upto, tail FROM feed WHERE cell = ? AND journal = ?", *key.values())
+    upto, tail = (0, "") if stored is None else (stored["upto"], stored["tail"])
     _rows(sql, "job", JOB, key, report.jobs)
     _rows(sql, "pass", PASS, key, report.passes)
     _rows(sql, "map", MAP, key, report.maps)

@@ -73,9 +73,9 @@ class ShopClient:
         except ConfigError:
             return False
 
-    def ask(self, path: str, said: Mapping[str, Any]) -> dict[str, Any]:
+    def request(self, path: str, body: Mapping[str, Any]) -> dict[str, Any]:
         """Send a request; ConfigError where the shop refuses, LinkError where it is away or did not accept it."""
-        content = self.fetch(path, said)
+        content = self.fetch(path, body)
         try:
             found = json.loads(content)
         except ValueError:
@@ -84,13 +84,13 @@ class ShopClient:
             raise LinkError(f"{self._section.url}: its answer is no JSON object; is that a shop?")
         return found
 
-    def fetch(self, path: str, said: Mapping[str, Any]) -> bytes:
+    def fetch(self, path: str, body: Mapping[str, Any]) -> bytes:
         """Fetch bytes. TokenRefused where the shop does not accept the token."""
         token = read_secret(self._section.token, self._base_dir)
         if (trusted := self._signature()) != self._trusted:
             self._context, self._trusted = self._trusting(), trusted
         try:
-            status, content = self._post(path, json.dumps(dict(said)).encode(), token)
+            status, content = self._post(path, json.dumps(dict(body)).encode(), token)
         except ssl.SSLCertVerificationError as error:
             raise LinkError(f"{self._section.url}: {self._distrust(error)}") from None
         except (OSError, HTTPException, ValueError) as error:
@@ -112,14 +112,14 @@ class ShopClient:
             connection = HTTPConnection(host, parts.port, timeout=STEP_S)
         try:
             connection.connect()
-            self._look_at_certificate(connection.sock)
+            self._check_certificate(connection.sock)
             headers = {"Content-Type": "application/json", "Authorization": f"Bearer {token}"}
             connection.request("POST", path, body, headers)
-            with connection.getresponse() as answer:
-                content = answer.read(MOST_BYTES)
-                if not answer.isclosed():
+            with connection.getresponse() as response:
+                content = response.read(MOST_BYTES)
+                if not response.isclosed():
                     raise HTTPException(f"its answer is more than {MOST_BYTES} bytes")
-                return answer.status, content
+                return response.status, content
         finally:
             connection.close()
 
@@ -141,7 +141,7 @@ class ShopClient:
             return (0, 0, 0)
         return (stat.st_mtime_ns, stat.st_ino, stat.st_size)
 
-    def _look_at_certificate(self, connection: Any) -> None:
+    def _check_certificate(self, connection: Any) -> None:
         """Warn once a day where the shop's certificate expires soon."""
         if not isinstance(connection, ssl.SSLSocket):
             return
@@ -170,13 +170,13 @@ class ShopClient:
         }.get(error.verify_code, "Look at cert in [web] of SHOP.toml, and at shop.ca_file")
         return f"certificate verify failed: {error.verify_message}. {todo}. The link tries again; nothing was sent"
 
-    def _refusal(self, said: str) -> str:
+    def _refusal(self, reason: str) -> str:
         kind, _, name = self._section.token.partition(":")
         where = f"write it into {named_path(self._base_dir, name)}; the link reads it without a restart"
         if kind == "env":
             where = f"put it into {name}, and start the link again"
         return (
-            f"{self._section.url}: the shop does not take this cell's token ({said}). Make a new one at the shop: "
+            f"{self._section.url}: the shop does not take this cell's token ({reason}). Make a new one at the shop: "
             f"polishd shop serve SHOP.toml --add-cell NAME, and {where}"
         )
 
@@ -196,7 +196,7 @@ def _error(content: bytes) -> str:
 
 MOST_EVENTS = 500
 """Most events in one report."""
-FILES_KEPT_S = 3600.0
+RETENTION_S = 3600.0
 """Time for which a job's files are kept after its end: its run folder may still be written."""
 LESSON_AGAIN_S = 86400.0
 """Least age difference for a repeated offer of another cell's rate."""
@@ -207,12 +207,12 @@ _MAPS = "SELECT job, cycle, taken, stats FROM map WHERE job = ? ORDER BY id"
 
 
 def read_report(
-    state_dir: Path, upto: int, now: dict[str, Any], also: Sequence[str], asking: str
+    state_dir: Path, upto: int, now: dict[str, Any], also: Sequence[str], open_request: str
 ) -> tuple[CellReport, bool] | None:
     """Report the events after ``upto``, and whether more follow; None where the journal is still empty.
 
-    ``also``: claims of interest to the shop that may have ended. ``asking``: the request that may or may not be a claim
-    yet. ConfigError where the journal cannot be read.
+    ``also``: claims of interest to the shop that may have ended. ``open_request``: the request that may
+    not be a claim yet. ConfigError where the journal cannot be read.
     """
     with read_only(state_dir) as journal:
         first = journal.execute("SELECT id, job, at, cycle, name, data FROM event ORDER BY id LIMIT 1").fetchone()
@@ -238,7 +238,7 @@ def read_report(
             passes=passes,
             maps=_of(journal, _MAPS, touched),
             lessons=_lessons({row[0]: row[1] for row in jobs}, passes),
-            claims=_claims(journal, also, asking),
+            claims=_claims(journal, also, open_request),
         ), more
 
 
@@ -256,10 +256,10 @@ def has_claim(state_dir: Path, claim: str) -> bool:
 def wanted_rates(state_dir: Path, offers: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Offers for which this cell has neither its own rate nor a recent offer."""
     with read_only(state_dir) as journal:
-        return [offer for offer in offers if not _known(journal, offer)]
+        return [offer for offer in offers if not _is_known(journal, offer)]
 
 
-def _known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
+def _is_known(journal: sqlite3.Connection, offer: dict[str, Any]) -> bool:
     own = "SELECT 1 FROM pass WHERE instr(facts, ?) LIMIT 1"  # facts may contain NaN, which SQLite refuses as JSON
     if journal.execute(own, (json.dumps({"recipe": offer["recipe"]})[1:-1],)).fetchone():
         return True
@@ -279,25 +279,25 @@ def _lessons(names: dict[int, str], passes: Sequence[tuple[Any, ...]]) -> list[t
     """The last rate of each recipe; none where a person had to service the tool, and none without uncertainty."""
     found: dict[str, tuple[Any, ...]] = {}
     for job, cycle, _, _, ended, how, text in passes:
-        known = json.loads(text)
-        taught = known.get("taught") or {}
-        recipe, rate = taught.get("recipe"), taught.get("believed", {}).get("removal", {}).get("rate", {})
-        seen_to = any(one["stops"] == "cell" for one in known.get("findings", ()))
-        if recipe and how == "done" and rate.get("sigma") is not None and not seen_to:
-            found[recipe] = (recipe, names[job], cycle, ended, taught["tool"], rate["value"], rate["sigma"])
+        record = json.loads(text)
+        learned = record.get("taught") or {}
+        recipe, rate = learned.get("recipe"), learned.get("believed", {}).get("removal", {}).get("rate", {})
+        has_cell_stop = any(one["stops"] == "cell" for one in record.get("findings", ()))
+        if recipe and how == "done" and rate.get("sigma") is not None and not has_cell_stop:
+            found[recipe] = (recipe, names[job], cycle, ended, learned["tool"], rate["value"], rate["sigma"])
     return list(found.values())
 
 
-def _claims(journal: sqlite3.Connection, also: Sequence[str], asking: str) -> dict[str, dict[str, str]]:
+def _claims(journal: sqlite3.Connection, also: Sequence[str], open_request: str) -> dict[str, dict[str, str]]:
     """State and reason of the claims that are open here or in the shop."""
     rows = journal.execute("SELECT claim, begun, verdict, reason, ended FROM queue WHERE claim != ''").fetchall()
-    said = {
+    states = {
         claim: {"state": verdict or ("under way" if begun else "waiting"), "reason": reason or ""}
         for claim, begun, verdict, reason, ended in rows
         if ended is None or claim in also
     }
-    unknown = set(also) - {row[0] for row in rows} - {asking}
-    return {**said, **{claim: {"state": "unknown"} for claim in unknown}}
+    unknown = set(also) - {row[0] for row in rows} - {open_request}
+    return {**states, **{claim: {"state": "unknown"} for claim in unknown}}
 
 
 def _row_hash(row: tuple[Any, ...]) -> str:
@@ -305,23 +305,23 @@ def _row_hash(row: tuple[Any, ...]) -> str:
 
 
 def finished_claims(state_dir: Path) -> set[str]:
-    """Claims whose part was finished before the last job of the cell began, and ``FILES_KEPT_S`` ago.
+    """Claims whose part was finished before the last job of the cell began, and ``RETENTION_S`` ago.
 
     A job that was removed or set aside is none of them: an operator may add its file again.
     """
     sql = "SELECT claim, verdict FROM queue WHERE ended < ? AND job < (SELECT max(id) FROM job)"
     with read_only(state_dir) as journal:
-        rows = journal.execute(sql, (time.time() - FILES_KEPT_S,)).fetchall()
+        rows = journal.execute(sql, (time.time() - RETENTION_S,)).fetchall()
     return {claim for claim, verdict in rows if claim and verdict in DONE}
 
 
 # Answers of the shop. ``of`` raises KeyError, TypeError, ValueError or AttributeError for any other answer.
 
-Answer = TypeVar("Answer")
+Reply = TypeVar("Reply")
 
 
 @dataclass(frozen=True, slots=True)
-class _ReportAnswer:
+class _ReportReply:
     upto: int
     """Number of the last event that the shop has."""
     assignments: dict[str, list[str]]
@@ -329,16 +329,16 @@ class _ReportAnswer:
     offers: list[dict[str, Any]]
 
     @classmethod
-    def of(cls, answer: Mapping[str, Any]) -> _ReportAnswer:
-        assignments = {key: [_text(one, key) for one in answer[key]] for key in ("stands", "back", "lost")}
-        for offer in answer["offers"]:
+    def of(cls, reply: Mapping[str, Any]) -> _ReportReply:
+        assignments = {key: [_text(one, key) for one in reply[key]] for key in ("stands", "back", "lost")}
+        for offer in reply["offers"]:
             _text(offer["recipe"], "recipe of an offer")
             if not isinstance(offer["at_s"], int | float):
                 raise TypeError(f"at_s of an offer is {offer['at_s']!r}, not a time")
             hash(tuple(offer.values()))  # TypeError of a list or an object
-        if type(answer["upto"]) is not int or answer["upto"] < 0:
-            raise ValueError(f"upto is {answer['upto']!r}, not the number of an event")
-        return cls(answer["upto"], assignments, list(answer["offers"]))
+        if type(reply["upto"]) is not int or reply["upto"] < 0:
+            raise ValueError(f"upto is {reply['upto']!r}, not the number of an event")
+        return cls(reply["upto"], assignments, list(reply["offers"]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,15 +356,15 @@ class _ClaimedPart:
 
 
 @dataclass(frozen=True, slots=True)
-class _ClaimAnswer:
+class _ClaimReply:
     part: _ClaimedPart | None
     is_over: bool
     """The part of this request was given back or has ended."""
 
     @classmethod
-    def of(cls, answer: Mapping[str, Any]) -> _ClaimAnswer:
-        part = answer["part"]
-        return cls(None if part is None else _ClaimedPart.of(part), answer.get("over") is True)
+    def of(cls, reply: Mapping[str, Any]) -> _ClaimReply:
+        part = reply["part"]
+        return cls(None if part is None else _ClaimedPart.of(part), reply.get("over") is True)
 
 
 def _text(value: Any, what: str) -> str:
@@ -402,7 +402,7 @@ class ShopLink:
         """Claims of this cell in the shop."""
         self._judged: set[str] = set()
         """Jobs that were checked, without name and part."""
-        self._seen: set[tuple[Any, ...]] = set()
+        self._considered: set[tuple[Any, ...]] = set()
         """Offers that were considered."""
 
     def run(self, stop: threading.Event) -> None:
@@ -434,18 +434,18 @@ class ShopLink:
         status = self._status()
         if not (self._config.state_dir / JOURNAL_NAME).exists():
             return False
-        found = read_report(self._config.state_dir, self._upto, _now(status), self._open, self._asking())
+        found = read_report(self._config.state_dir, self._upto, _now(status), self._open, self._open_request())
         if found is None:
             return False
         report, more = found
-        answer = self._ask("report", facts(report), _ReportAnswer.of)
-        behind, self._upto = answer.upto != report.last, answer.upto
-        self._heed(answer, status)
+        reply = self._request("report", facts(report), _ReportReply.of)
+        behind, self._upto = reply.upto != report.last, reply.upto
+        self._apply_reply(reply, status)
         return more or behind or self._wants(status)
 
-    def _ask(self, verb: str, said: Mapping[str, Any], parse: Callable[[dict[str, Any]], Answer]) -> Answer:
+    def _request(self, verb: str, body: Mapping[str, Any], parse: Callable[[dict[str, Any]], Reply]) -> Reply:
         """Send a request and parse its answer; LinkError where it is not the answer of a shop."""
-        found = self._wire.ask(f"/api/cell/{verb}", said)
+        found = self._wire.request(f"/api/cell/{verb}", body)
         try:
             return parse(found)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -467,27 +467,27 @@ class ShopLink:
 
     # answers of the shop
 
-    def _heed(self, answer: _ReportAnswer, status: Mapping[str, Any]) -> None:
-        self._open = [*answer.assignments["stands"], *answer.assignments["back"]]
+    def _apply_reply(self, reply: _ReportReply, status: Mapping[str, Any]) -> None:
+        self._open = [*reply.assignments["stands"], *reply.assignments["back"]]
         self._remove_files()
         if "waiting" in status:
-            self._daemon("shop_assignments", answer.assignments)
-            self._offer([one for one in answer.offers if tuple(one.values()) not in self._seen])
+            self._daemon("shop_assignments", reply.assignments)
+            self._offer([one for one in reply.offers if tuple(one.values()) not in self._considered])
 
     def _remove_files(self) -> None:
         """Remove the files of parts that the shop knows as finished, and that were finished before the present job.
 
         The page reads the files of the last job.
         """
-        present = {path.name for path in (self._folder / "jobs").glob("*")} - {*self._open, self._asking()}
+        present = {path.name for path in (self._folder / "jobs").glob("*")} - {*self._open, self._open_request()}
         for request in present & finished_claims(self._config.state_dir) if present else ():
             shutil.rmtree(self._folder / "jobs" / request, ignore_errors=True)
 
     def _offer(self, offers: list[dict[str, Any]]) -> None:
         """Send the rates of other cells to the daemon where it needs them; consider each offer once."""
-        if offers and (wanted := wanted_rates(self._config.state_dir, offers)):
-            self._daemon("shop_rates", {"offers": wanted})
-        self._seen |= {tuple(one.values()) for one in offers}
+        if offers and (useful := wanted_rates(self._config.state_dir, offers)):
+            self._daemon("shop_rates", {"offers": useful})
+        self._considered |= {tuple(one.values()) for one in offers}
 
     # parts
 
@@ -496,38 +496,38 @@ class ShopLink:
         waiting = status.get("waiting")
         if waiting is None or waiting >= self._section.max_assigned or status.get("state") in NOT_NOW:
             return False
-        request = self._asking() or self._asked_by(uuid.uuid4().hex)
+        request = self._open_request() or self._store_request(uuid.uuid4().hex)
         if has_claim(self._config.state_dir, request):  # it was added just before the link ended
-            self._settled()
+            self._clear_request()
             return True
-        answer = self._ask("claim", {"request": request}, _ClaimAnswer.of)
-        if answer.is_over:
-            self._settled()
-        if (part := answer.part) is None:
+        reply = self._request("claim", {"request": request}, _ClaimReply.of)
+        if reply.is_over:
+            self._clear_request()
+        if (part := reply.part) is None:
             return False
-        path = self._written(request, part)
+        path = self._write_job(request, part)
         try:
             check_jobs(self._config, self._hooks, [path], self._judged)
             self._add(request, path, part.content)
         except LinkError:
             raise
         except PolishdError as error:
-            self._wire.ask("/api/cell/refuse", {"request": request, "why": str(error)})
+            self._wire.request("/api/cell/refuse", {"request": request, "why": str(error)})
             log.warning("%s: the part of job %r was refused: %s", self._config.cell.name, part.job, error)
             if not has_claim(self._config.state_dir, request):  # the daemon may have taken it at an earlier trial
                 shutil.rmtree(path.parent, ignore_errors=True)
-        self._settled()
+        self._clear_request()
         return True
 
     def _add(self, request: str, path: Path, content: str) -> None:
         """Add the part to the cell's queue and journal. LinkError where the result is unknown."""
         job = {"path": str(path), "content": content}
-        answer = self._daemon("queue_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
-        if not answer.get("ok"):
-            known = answer.get("exit_code") == ConfigError.exit_code
-            raise (ConfigError if known else LinkError)(str(answer.get("error")))
+        reply = self._daemon("queue_add", {"files": [job], "claim": request, "by": f"shop {self._section.url}"})
+        if not reply.get("ok"):
+            is_config_error = reply.get("exit_code") == ConfigError.exit_code
+            raise (ConfigError if is_config_error else LinkError)(str(reply.get("error")))
 
-    def _written(self, request: str, part: _ClaimedPart) -> Path:
+    def _write_job(self, request: str, part: _ClaimedPart) -> Path:
         """Write the job's file, and the files that it names, into a new folder. LinkError where the disk refuses."""
         folder = self._folder / "jobs" / request
         try:
@@ -543,16 +543,16 @@ class ShopLink:
 
     # the open request: durable before it is sent
 
-    def _asking(self) -> str:
+    def _open_request(self) -> str:
         with suppress(FileNotFoundError):
             return (self._folder / "asking").read_text(encoding="ascii").strip()
         return ""
 
-    def _asked_by(self, request: str) -> str:
+    def _store_request(self, request: str) -> str:
         write_atomic(make_folder_of(self._folder) / "asking", request.encode())
         return request
 
-    def _settled(self) -> None:
+    def _clear_request(self) -> None:
         (self._folder / "asking").unlink(missing_ok=True)
 
     # the daemon
@@ -566,7 +566,7 @@ class ShopLink:
             return {"state": "does not answer", "reason": str(error)}
 
     def _daemon(self, verb: str, args: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Answer of the daemon. NoDaemon, or LinkError where it cannot be asked."""
+        """Send a request to the daemon and return its reply. NoDaemon, or LinkError where that fails."""
         try:
             return client.request(self._config.state_dir, verb, args=args or {})
         except OSError as error:  # too many open files

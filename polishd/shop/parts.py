@@ -44,7 +44,7 @@ class NewPart:
 
 
 @dataclass(slots=True)
-class AssignmentAnswer:
+class AssignmentReply:
     """Answer to a cell about its claims."""
 
     stands: list[str] = field(default_factory=list)
@@ -58,8 +58,8 @@ def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Se
     ``digests``: SHA-256 of each part's files, by name.
     """
     for part, digest in zip(parts, digests, strict=True):
-        if (known := sql.row("SELECT state FROM part WHERE job = ?", part.job)) is not None:
-            raise ConfigError(f"job.id: {part.job!r} is {known['state']} in this shop already; choose another name")
+        if (existing := sql.row("SELECT state FROM part WHERE job = ?", part.job)) is not None:
+            raise ConfigError(f"job.id: {part.job!r} is {existing['state']} in this shop already; choose another name")
         open_ = "SELECT job, state FROM part WHERE part_id = ? AND state NOT IN ('done', 'removed')"
         if (other := sql.row(open_, part.part_id)) is not None:
             raise ConfigError(
@@ -70,7 +70,7 @@ def add(sql: DatabaseTransaction, parts: Sequence[NewPart], by: str, digests: Se
             sql.insert("file", {"sha256": digest[name], "content": content}, conflict="IGNORE")
         row = {"job": part.job, "part_id": part.part_id, "content": part.content, "files": json.dumps(dict(digest))}
         sql.insert("part", {**row, "added": time.time(), "by": by})
-        sql.word(by, "added", part.job)
+        sql.log_decision(by, "added", part.job)
 
 
 def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def claim(sql: DatabaseTransaction, cell: str, request: str) -> dict[str, Any]:
         return {"part": None}
     sql.insert("claim", {"request": request, "part": part["id"], "cell": cell, "given": time.time()})
     sql.run("UPDATE part SET state = 'claimed' WHERE id = ?", part["id"])
-    sql.word(cell, "claimed", part["job"], cell)
+    sql.log_decision(cell, "claimed", part["job"], cell)
     return _given(sql, request, part["id"])
 
 
@@ -108,49 +108,49 @@ def refuse(sql: DatabaseTransaction, cell: str, request: str, why: str) -> None:
 
 def report(
     sql: DatabaseTransaction, cell: str, journal: str, claims: Mapping[str, Mapping[str, str]]
-) -> AssignmentAnswer:
+) -> AssignmentReply:
     """Apply the cell's report on its claims, and return the valid state of each."""
-    word = AssignmentAnswer()
-    for request, said in claims.items():
+    reply = AssignmentReply()
+    for request, reported in claims.items():
         found = _open(sql, cell, request)
         if found is None:
-            if said["state"] in {WAITING, UNDER_WAY}:
-                word.lost.append(request)
-                _came_back(sql, cell, request, said["state"])
+            if reported["state"] in {WAITING, UNDER_WAY}:
+                reply.lost.append(request)
+                _came_back(sql, cell, request, reported["state"])
             continue
-        _heard(sql, found, said, journal)
+        _apply_state(sql, found, reported, journal)
     for found in sql.rows("SELECT request, state, back FROM claim WHERE cell = ? AND ended IS NULL", cell):
         begun = found["state"].startswith("begun")
-        (word.back if found["back"] and not begun else word.stands).append(found["request"])
-    return word
+        (reply.back if found["back"] and not begun else reply.stands).append(found["request"])
+    return reply
 
 
 def release(sql: DatabaseTransaction, job: str, by: str, why: str, *, gone: bool) -> str:
     """Release a part for another cell, and describe the result. ConfigError where there is nothing to release.
 
-    A cell that may have begun the part must give it back first. ``gone``: a person states that the cell is gone.
+    A cell that may have begun the part must give it back first. ``gone``: a person confirms that the cell is gone.
     """
     part = _part(sql, job)
     if part["state"] == "waiting" and sql.run("DELETE FROM not_for WHERE part = ?", part["id"]):
-        sql.word(by, "for all cells", job, "", why)
+        sql.log_decision(by, "for all cells", job, "", why)
         return f"{job} waits, and any cell may have it"
     if part["state"] in {"waiting", "done", "removed"}:
         raise ConfigError(f"{job!r} is {part['state']}: no cell has it; run polishd shop list SHOP.toml to see all")
     found = sql.row("SELECT request, cell, state FROM claim WHERE part = ? AND ended IS NULL", part["id"])
     if found is None:
         sql.run("UPDATE part SET state = 'waiting', verdict = '', reason = '', ended = NULL WHERE id = ?", part["id"])
-        sql.word(by, "released", job, "", why)
+        sql.log_decision(by, "released", job, "", why)
         return f"{job} waits again"
     cell = found["cell"]
     if gone:
-        sql.word(by, "cell is gone", job, cell, why)
+        sql.log_decision(by, "cell is gone", job, cell, why)
         _free(sql, found["request"], "gone", by, why)
         return f"{job} waits again; {cell} must not begin it any more and gets this answer when it reconnects"
     if part["state"] == "begun":
         todo = "put it aside there (polishd hold, polishd queue remove), or say that the cell is gone: --cell-is-gone"
         raise ConfigError(f"{job!r}: {cell} has begun it; {todo}")
     sql.run("UPDATE claim SET back = ? WHERE request = ?", by, found["request"])
-    sql.word(by, "wanted back", job, cell, why)
+    sql.log_decision(by, "wanted back", job, cell, why)
     return f"{job}: {cell} is asked to give it back, and keeps it until it has; polishd shop list shows it"
 
 
@@ -159,12 +159,12 @@ def remove(sql: DatabaseTransaction, job: str, by: str, why: str) -> None:
     if _part(sql, job)["state"] not in {"waiting", "aside"}:
         raise ConfigError(f"{job!r} is {_part(sql, job)['state']}: only what waits, or was set aside, can be taken out")
     sql.run("UPDATE part SET state = 'removed', reason = ?, ended = ? WHERE job = ?", why, time.time(), job)
-    sql.word(by, "removed", job, "", why)
+    sql.log_decision(by, "removed", job, "", why)
 
 
-def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str, str], journal: str) -> None:
+def _apply_state(sql: DatabaseTransaction, found: Mapping[str, Any], reported: Mapping[str, str], journal: str) -> None:
     """Apply the report on an open claim."""
-    request, cell, state, reason = found["request"], found["cell"], said["state"], said.get("reason", "")
+    request, cell, state, reason = found["request"], found["cell"], reported["state"], reported.get("reason", "")
     if state == UNKNOWN:
         if found["back"] and found["state"] == "given":
             _free(sql, request, "given back", cell)
@@ -173,7 +173,7 @@ def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str
     elif state == UNDER_WAY:
         sql.run("UPDATE claim SET state = ? WHERE request = ?", f"begun by {journal}", request)
         if sql.run("UPDATE part SET state = 'begun' WHERE id = ? AND state = 'claimed'", found["part"]):
-            sql.word(cell, "begun", found["job"], cell)
+            sql.log_decision(cell, "begun", found["job"], cell)
     elif state == REMOVED and found["back"]:
         _free(sql, request, "given back", cell, f"released by {found['back']}")
     else:
@@ -183,7 +183,7 @@ def _heard(sql: DatabaseTransaction, found: Mapping[str, Any], said: Mapping[str
             "UPDATE part SET state = ?, verdict = ?, reason = ?, ended = ? WHERE id = ?",
             *(over, state, reason, time.time(), found["part"]),
         )
-        sql.word(cell, state, found["job"], cell, reason)
+        sql.log_decision(cell, state, found["job"], cell, reason)
 
 
 def _came_back(sql: DatabaseTransaction, cell: str, request: str, state: str) -> None:
@@ -194,10 +194,10 @@ def _came_back(sql: DatabaseTransaction, cell: str, request: str, state: str) ->
     found = sql.row(sql_job, request, cell)
     if found is not None and state == UNDER_WAY:
         sql.run("UPDATE claim SET how = 'gone, and had begun' WHERE request = ?", request)
-        sql.word(cell, "came back, and had begun it", found["job"], cell, "look which cell has the part")
+        sql.log_decision(cell, "came back, and had begun it", found["job"], cell, "look which cell has the part")
 
 
-def _free(sql: DatabaseTransaction, request: str, how: str, who: str, why: str = "") -> None:
+def _free(sql: DatabaseTransaction, request: str, how: str, author: str, why: str = "") -> None:
     """End the claim; its part waits for another cell."""
     sql.run("UPDATE claim SET ended = ?, how = ? WHERE request = ?", time.time(), how, request)
     found = sql.row("SELECT part, cell, job FROM claim JOIN part ON part.id = claim.part WHERE request = ?", request)
@@ -208,7 +208,7 @@ def _free(sql: DatabaseTransaction, request: str, how: str, who: str, why: str =
         sql.run("DELETE FROM not_for WHERE part = ? AND why NOT LIKE ?", found["part"], f"{REFUSED}%")
     row = {"part": found["part"], "cell": found["cell"], "why": f"{how}: {why}" if why else how}
     sql.insert("not_for", row, conflict="REPLACE")
-    sql.word(who, how, found["job"], found["cell"], why)
+    sql.log_decision(author, how, found["job"], found["cell"], why)
 
 
 def _given(sql: DatabaseTransaction, request: str, part: int) -> dict[str, Any]:

@@ -25,9 +25,9 @@ from polishd.shop import parts as shop_parts
 from polishd.shop.database import Database, DatabaseTransaction
 from polishd.shop.parts import digests, part_of
 from polishd.util.serialization import json_object, require_unicode
-from polishd.web.http import server as door
+from polishd.web.http import server as http_server
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import HANDLERS, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.server import HANDLERS, RateLimiter, RequestGuard, hosts_of, json_response, refusal
 from polishd.web.http.users import Role, SessionStore, UserFile, address_of, forged
 
 # Views of a shop's data, for people and programs.
@@ -74,7 +74,7 @@ def parts_view(sql: DatabaseTransaction) -> dict[str, Any]:
     return {"parts": [{**row, "not_for": why.get(row["job"], "")} for row in rows]}
 
 
-def words(sql: DatabaseTransaction, most: int = 1000) -> list[dict[str, Any]]:
+def decisions(sql: DatabaseTransaction, most: int = 1000) -> list[dict[str, Any]]:
     """The last decisions of the shop, and their authors."""
     return sql.rows("SELECT * FROM (SELECT * FROM word ORDER BY id DESC LIMIT ?) ORDER BY id", most)
 
@@ -116,56 +116,56 @@ def cells_of(shop: ShopFile) -> UserFile:
     return UserFile(shop.state_dir / "shop-cells.json")
 
 
-def people_of(shop: ShopFile) -> UserFile:
+def users_of(shop: ShopFile) -> UserFile:
     """Names and token hashes of people and programs."""
     return UserFile(shop.state_dir / "shop-users.json" if shop.web.users is None else shop.resolve(shop.web.users))
 
 
 def application(shop: ShopFile, database: Database, certificate: Certificate | None = None) -> RequestGuard:
     """Application of a shop; ``certificate``: the one of its server."""
-    cells, people, rate = SessionStore(cells_of(shop)), SessionStore(people_of(shop)), RateLimiter()
+    cells, users, rate = SessionStore(cells_of(shop)), SessionStore(users_of(shop)), RateLimiter()
 
-    def of_cell(path: str, work: Work) -> Route:
+    def cell_route(path: str, work: Work) -> Route:
         return Route(f"/api/cell/{path}", _endpoint(database, cells, rate, Role.WATCH, work), methods=["POST"])
 
-    def of_people(path: str, work: Work, role: Role = Role.WATCH) -> Route:
+    def user_route(path: str, work: Work, role: Role = Role.WATCH) -> Route:
         method = "GET" if role is Role.WATCH else "POST"
-        return Route(f"/api/{path}", _endpoint(database, people, rate, role, work), methods=[method])
+        return Route(f"/api/{path}", _endpoint(database, users, rate, role, work), methods=[method])
 
-    def status(sql: DatabaseTransaction, _who: str, _said: dict[str, Any]) -> Any:
+    def status(sql: DatabaseTransaction, _user: str, _body: dict[str, Any]) -> Any:
         tls = None if certificate is None else certificate.facts()
         return {"shop": shop.shop.name, "certificate": tls, **status_view(sql, cells_of(shop))}
 
     routes = [
-        of_cell("report", _report),
-        of_cell("claim", lambda sql, cell, said: shop_parts.claim(sql, cell, _text(said, "request"))),
-        of_cell("refuse", _refuse),
-        of_cell("file", _file),
-        of_people("status", status),
-        of_people("parts", lambda sql, _who, _said: {**parts_view(sql), "words": words(sql)}),
-        of_people("history", lambda sql, _who, _said: history(sql)),
-        of_people("lessons", lambda sql, _who, _said: lessons(sql)),
-        of_people("add", _add, Role.OPERATE),
-        of_people("release", _release, Role.OPERATE),
-        of_people("remove", _remove, Role.OPERATE),
+        cell_route("report", _report),
+        cell_route("claim", lambda sql, cell, body: shop_parts.claim(sql, cell, _text(body, "request"))),
+        cell_route("refuse", _refuse),
+        cell_route("file", _file),
+        user_route("status", status),
+        user_route("parts", lambda sql, _user, _body: {**parts_view(sql), "words": decisions(sql)}),
+        user_route("history", lambda sql, _user, _body: history(sql)),
+        user_route("lessons", lambda sql, _user, _body: lessons(sql)),
+        user_route("add", _add, Role.OPERATE),
+        user_route("release", _release, Role.OPERATE),
+        user_route("remove", _remove, Role.OPERATE),
     ]
     return RequestGuard(Starlette(routes=routes, exception_handlers=HANDLERS), hosts_of(shop.web), BODY_BYTES)
 
 
 def serve(shop: ShopFile) -> None:
     """Serve until Ctrl-C or SIGTERM. ConfigError where it would listen beyond this computer without any token."""
-    if not shop.web.loopback and not (people_of(shop) or cells_of(shop)):
+    if not shop.web.loopback and not (users_of(shop) or cells_of(shop)):
         raise shop.error("web.address", "is beyond this computer, and there is no token; make one: polishd shop serve "
                          "SHOP.toml --add-cell NAME")  # fmt: skip
     certificate = Certificate.of(shop, shop.web)
     with Database.open(shop.state_dir) as database:
-        door.serve(application(shop, database, certificate), shop.web, certificate)
+        http_server.serve(application(shop, database, certificate), shop.web, certificate)
 
 
 def _endpoint(
     database: Database, sessions: SessionStore, rate: RateLimiter, role: Role, work: Work
 ) -> Callable[[Request], Awaitable[Response]]:
-    async def answer(request: Request) -> Response:
+    async def respond(request: Request) -> Response:
         try:
             session = sessions.of(request)
         except PolishdError as error:
@@ -178,65 +178,66 @@ def _endpoint(
             return refusal(403, f"needs the role {role.value}")
         if request.method != "GET" and (why := forged(request, session)):
             return refusal(403, why)
-        return await answered(_worked(database, work, session.user.name, await request.body()))
+        return await json_response(_run_transaction(database, work, session.user.name, await request.body()))
 
-    return answer
+    return respond
 
 
-async def _worked(database: Database, work: Work, who: str, body: bytes) -> Any:
+async def _run_transaction(database: Database, work: Work, user: str, body: bytes) -> Any:
     def transaction() -> Any:
-        said = _json(body)
+        parsed = _json(body)
         with database.transaction() as sql:
-            return work(sql, who, said)
+            return work(sql, user, parsed)
 
     found = await asyncio.to_thread(transaction)
     return found if isinstance(found, Response) else {"ok": True, **found}
 
 
-def _report(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
+def _report(sql: DatabaseTransaction, cell: str, body: dict[str, Any]) -> Any:
     try:
-        report = feed.CellReport(**said)
+        report = feed.CellReport(**body)
         upto = feed.take(sql, cell, report)
-        word = shop_parts.report(sql, cell, report.journal, report.claims)
+        reply = shop_parts.report(sql, cell, report.journal, report.claims)
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise ConfigError(f"that is no report of a cell: {type(error).__name__}; are both of one polishd?") from error
-    return {"upto": upto, **asdict(word), "offers": feed.offers(sql, cell)}
+    return {"upto": upto, **asdict(reply), "offers": feed.offers(sql, cell)}
 
 
-def _refuse(sql: DatabaseTransaction, cell: str, said: dict[str, Any]) -> Any:
-    shop_parts.refuse(sql, cell, _text(said, "request"), _text(said, "why")[:2000])
+def _refuse(sql: DatabaseTransaction, cell: str, body: dict[str, Any]) -> Any:
+    shop_parts.refuse(sql, cell, _text(body, "request"), _text(body, "why")[:2000])
     return {}
 
 
-def _file(sql: DatabaseTransaction, _cell: str, said: dict[str, Any]) -> Any:
-    found = sql.row("SELECT content FROM file WHERE sha256 = ?", _text(said, "sha256"))
+def _file(sql: DatabaseTransaction, _cell: str, body: dict[str, Any]) -> Any:
+    found = sql.row("SELECT content FROM file WHERE sha256 = ?", _text(body, "sha256"))
     if found is None:
         raise ConfigError("there is no file of that hash")
     return Response(found["content"], media_type="application/octet-stream")
 
 
-def _add(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
-    files = said.get("files", {})
+def _add(sql: DatabaseTransaction, user: str, body: dict[str, Any]) -> Any:
+    files = body.get("files", {})
     if not isinstance(files, dict):
         raise ConfigError("files is an object: base64 of each content by its name")
     try:
         part = part_of(
-            _text(said, "content"),
+            _text(body, "content"),
             {str(Path(name)): base64.b64decode(one, validate=True) for name, one in files.items()},
         )
     except (binascii.Error, TypeError, ValueError) as error:
         raise ConfigError("files is an object: base64 of each content by its name") from error
-    shop_parts.add(sql, [part], who, [digests(part)])
+    shop_parts.add(sql, [part], user, [digests(part)])
     return {"added": part.job}
 
 
-def _release(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
-    gone = said.get("cell_is_gone", False) is True
-    return {"said": shop_parts.release(sql, _text(said, "job"), who, str(said.get("why", ""))[:500], gone=gone)}
+def _release(sql: DatabaseTransaction, user: str, body: dict[str, Any]) -> Any:
+    cell_is_gone = body.get("cell_is_gone", False) is True
+    why = str(body.get("why", ""))[:500]
+    return {"said": shop_parts.release(sql, _text(body, "job"), user, why, gone=cell_is_gone)}
 
 
-def _remove(sql: DatabaseTransaction, who: str, said: dict[str, Any]) -> Any:
-    shop_parts.remove(sql, _text(said, "job"), who, str(said.get("why", ""))[:500])
+def _remove(sql: DatabaseTransaction, user: str, body: dict[str, Any]) -> Any:
+    shop_parts.remove(sql, _text(body, "job"), user, str(body.get("why", ""))[:500])
     return {}
 
 
@@ -247,8 +248,8 @@ def _json(body: bytes) -> dict[str, Any]:
     return found
 
 
-def _text(said: dict[str, Any], key: str) -> str:
-    found = said.get(key)
+def _text(body: dict[str, Any], key: str) -> str:
+    found = body.get(key)
     if not isinstance(found, str) or not found:
         raise ConfigError(f"{key} must be given, as text")
     return found

@@ -45,64 +45,64 @@ class CommandForwarder:
 
     def __init__(self, state_dir: Path) -> None:
         self._state_dir = state_dir
-        self._under_way: dict[tuple[str, str], asyncio.Future[dict[str, Any]]] = {}
+        self._pending: dict[tuple[str, str], asyncio.Future[dict[str, Any]]] = {}
 
-    async def give(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> dict[str, Any] | None:
+    async def send(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> dict[str, Any] | None:
         """The daemon's answer; None: it has not obeyed yet. PolishdError where it cannot be sent.
 
         ``joined``: return the answer of the same order of the same person that is under way: a second press needs no
         second thread. The journal then has the reason of the first press. An order of another person is separate, with
         its own ``by`` in the journal.
         """
-        under_way = self._under_way.get(_key(verb, args)) if joined else None
-        if under_way is None:
-            under_way = self._sent(verb, args)
+        pending = self._pending.get(_key(verb, args)) if joined else None
+        if pending is None:
+            pending = self._send(verb, args)
         try:
             async with asyncio.timeout(OBEYED_S):
-                return await asyncio.shield(under_way)
+                return await asyncio.shield(pending)
         except TimeoutError:
             return None
 
-    def _sent(self, verb: str, args: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
+    def _send(self, verb: str, args: Mapping[str, Any]) -> asyncio.Future[dict[str, Any]]:
         """Send the order in a thread. LinkError where no thread can be started."""
         loop, key = asyncio.get_running_loop(), _key(verb, args)
-        answered: asyncio.Future[dict[str, Any]] = loop.create_future()
-        answered.add_done_callback(
+        future: asyncio.Future[dict[str, Any]] = loop.create_future()
+        future.add_done_callback(
             lambda one: one.cancelled() or one.exception()
         )  # retrieved, also when no request waits any more
 
-        def settle(answer: dict[str, Any] | None, error: PolishdError | None) -> None:
-            if self._under_way.get(key) is answered:
-                del self._under_way[key]
-            if answered.done():
+        def settle(reply: dict[str, Any] | None, error: PolishdError | None) -> None:
+            if self._pending.get(key) is future:
+                del self._pending[key]
+            if future.done():
                 return
             if error is not None:
-                answered.set_exception(error)
+                future.set_exception(error)
             else:
-                answered.set_result(answer or {})
+                future.set_result(reply or {})
 
-        def ask() -> None:
-            answer, failure = None, None
+        def request_daemon() -> None:
+            reply, failure = None, None
             try:
-                answer = client.request(self._state_dir, verb, args=args)
+                reply = client.request(self._state_dir, verb, args=args)
             except PolishdError as error:
                 failure = error
             except Exception as error:  # an order that never ends would swallow every later one that joins it
                 log.exception("the order %s failed on its way to the daemon", verb)
-                failure = _not_sent(verb, error)
+                failure = _unsent_error(verb, error)
             if not loop.is_closed():
-                loop.call_soon_threadsafe(settle, answer, failure)
+                loop.call_soon_threadsafe(settle, reply, failure)
 
         try:
-            threading.Thread(target=ask, name=f"order {verb}", daemon=True).start()
+            threading.Thread(target=request_daemon, name=f"order {verb}", daemon=True).start()
         except RuntimeError as error:  # the process has too many threads
             log.exception("the order %s could not be sent", verb)
-            raise _not_sent(verb, error) from error
-        self._under_way[key] = answered
-        return answered
+            raise _unsent_error(verb, error) from error
+        self._pending[key] = future
+        return future
 
 
-def _not_sent(verb: str, error: Exception) -> LinkError:
+def _unsent_error(verb: str, error: Exception) -> LinkError:
     return LinkError(
         f"{verb}: this server failed to send it to the daemon ({type(error).__name__}: {error}), which may not have "
         "received it. Send it again, or use the command line"
@@ -148,14 +148,14 @@ class Api:
         if user is None:
             return refusal(401, "the token is wrong: check it, or have a new one made with polishd web --add-user")
         session = self.sessions.begin(user)
-        answer = JsonAnswer(_who(session))
+        response = JsonAnswer(_session_facts(session))
         secure = request.url.scheme == "https"
-        answer.set_cookie(COOKIE, session.cookie, httponly=True, samesite="strict", secure=secure, path="/")
-        return answer
+        response.set_cookie(COOKIE, session.cookie, httponly=True, samesite="strict", secure=secure, path="/")
+        return response
 
     async def who(self, _request: Request, session: HttpSession) -> Any:
         """Name, role, and CSRF token of the page."""
-        return _who(session)
+        return _session_facts(session)
 
     async def sign_out(self, request: Request, _session: HttpSession) -> Any:
         """Sign out: the cookie becomes invalid."""
@@ -172,8 +172,8 @@ class Api:
         """Health of the cell, and of this server's TLS certificate (null where there is none)."""
         state = self.watcher.state()
         live = state["live"] or {}
-        known = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
-        return {**known, "certificate": None if self._certificate is None else self._certificate.facts()}
+        facts = {"daemon": state["daemon"], "age_s": state["age_s"], **{k: live.get(k) for k in ("health", "ages_s")}}
+        return {**facts, "certificate": None if self._certificate is None else self._certificate.facts()}
 
     async def overview(self, _request: Request, _session: HttpSession) -> Any:
         """Limits, tolerance, and progress of the pass."""
@@ -198,8 +198,8 @@ class Api:
 
     async def map(self, request: Request, _session: HttpSession) -> Any:
         """A map as an array."""
-        wanted = MapQuery.of(request.path_params["kind"], request.query_params)
-        return await _in_thread(self._disk.map, *_cycle(request), wanted)
+        query = MapQuery.of(request.path_params["kind"], request.query_params)
+        return await _in_thread(self._disk.map, *_cycle(request), query)
 
     async def cell(self, request: Request, _session: HttpSession) -> Any:
         """Joints of the robot along a plan, its path, and the part."""
@@ -326,31 +326,31 @@ class Api:
 
     async def acknowledge(self, request: Request, session: HttpSession) -> Any:
         """Acknowledge those alarms."""
-        said = (await _json(request)).get("alarms")
-        if not isinstance(said, list) or not all(map(_whole, said)):
+        alarms = (await _json(request)).get("alarms")
+        if not isinstance(alarms, list) or not all(map(_is_whole_number, alarms)):
             raise ConfigError("alarms must be given: a list of their numbers")
-        return await self._ordered("acknowledge", {"alarms": [int(one) for one in said], "by": _by(session)})
+        return await self._ordered("acknowledge", {"alarms": [int(one) for one in alarms], "by": _by(session)})
 
     async def move(self, request: Request, session: HttpSession) -> Any:
         """Move a waiting job."""
-        said = await _json(request)
-        args = {"job": _text(said, "job"), "where": _text(said, "where"), "other": _text(said, "other", "")}
+        body = await _json(request)
+        args = {"job": _text(body, "job"), "where": _text(body, "where"), "other": _text(body, "other", "")}
         return await self._ordered("queue_move", {**args, "by": _by(session)})
 
     async def remove(self, request: Request, session: HttpSession) -> Any:
         """Remove a waiting job, or the job over which the cell is held."""
-        said = await _json(request)
-        args = {"job": _text(said, "job"), "reason": _reason(said)}
+        body = await _json(request)
+        args = {"job": _text(body, "job"), "reason": _reason(body)}
         return await self._ordered("queue_remove", {**args, "by": _by(session)})
 
     async def _ordered(self, verb: str, args: Mapping[str, Any], *, joined: bool = False) -> Any:
         try:
-            answer = await self._orders.give(verb, args, joined=joined)
+            reply = await self._orders.send(verb, args, joined=joined)
         except PolishdError as error:
             return _failed(error)
-        if answer is None:
+        if reply is None:
             return JsonAnswer({"ok": True, "obeyed": False}, 202)
-        return answer if answer.get("ok") else refusal(409, str(answer.get("error")))
+        return reply if reply.get("ok") else refusal(409, str(reply.get("error")))
 
 
 class _Stream(StreamingResponse):
@@ -376,7 +376,7 @@ def _failed(error: PolishdError) -> JSONResponse:
     return refusal(status, str(error))
 
 
-def _who(session: HttpSession) -> dict[str, Any]:
+def _session_facts(session: HttpSession) -> dict[str, Any]:
     return {"ok": True, "name": session.user.name, "role": session.user.role.value, "csrf": session.csrf}
 
 
@@ -412,22 +412,22 @@ async def _json(request: Request) -> dict[str, Any]:
     return json_object(await request.body())
 
 
-def _whole(said: Any) -> bool:
+def _is_whole_number(value: Any) -> bool:
     """A number of the journal; JSON counts 3.0 as one, too."""
-    return type(said) in {int, float} and 0 <= said <= MOST_NUMBER and said == int(said)
+    return type(value) in {int, float} and 0 <= value <= MOST_NUMBER and value == int(value)
 
 
-def _text(said: Mapping[str, Any], key: str, default: str | None = None, *, whatever: bool = False) -> str:
+def _text(body: Mapping[str, Any], key: str, default: str | None = None, *, whatever: bool = False) -> str:
     """Return the text of a key. ConfigError where it is missing without default, is no text, or no Unicode.
 
     ``whatever``: accept invalid Unicode, too.
     """
-    if not isinstance(found := said.get(key, default), str):
-        raise ConfigError(f"{key} must be given: a text" if key not in said else f"{key} must be a text")
+    if not isinstance(found := body.get(key, default), str):
+        raise ConfigError(f"{key} must be given: a text" if key not in body else f"{key} must be a text")
     if not whatever:
         require_unicode(found, key)
     return found
 
 
-def _reason(said: Mapping[str, Any]) -> str:
-    return _text(said, "reason", "")[:MOST_REASON]
+def _reason(body: Mapping[str, Any]) -> str:
+    return _text(body, "reason", "")[:MOST_REASON]

@@ -22,7 +22,7 @@ MOST_POSES = 600
 """Most points of the plan with the robot's joints."""
 MOST_PATH = 6000
 """Most points of the path."""
-KEPT = 8
+CACHE_SIZE = 8
 """Figures that stay in memory."""
 FigureKey = tuple[str, str, int]
 """Plan's name in the store, tool, and job: the configuration in force does not change while the server runs."""
@@ -32,18 +32,18 @@ class CellFigures:
     """Figures of passes, each computed once. Safe in threads: the second request of a figure waits for the first."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[FigureKey, dict[str, Any]] = OrderedDict()
+        self._cache: OrderedDict[FigureKey, dict[str, Any]] = OrderedDict()
         self._computing = threading.Lock()
 
     def of(self, key: FigureKey, config: CellConfig, plan: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         """Return the figure of a plan; ``key`` names it and its configuration."""
         with self._computing:
-            if key not in self._kept:
-                self._kept[key] = cell_figure(config, plan)
-                while len(self._kept) > KEPT:
-                    self._kept.popitem(last=False)
-            self._kept.move_to_end(key)
-            return self._kept[key]
+            if key not in self._cache:
+                self._cache[key] = cell_figure(config, plan)
+                while len(self._cache) > CACHE_SIZE:
+                    self._cache.popitem(last=False)
+            self._cache.move_to_end(key)
+            return self._cache[key]
 
 
 def cell_figure(config: CellConfig, plan: Mapping[str, NDArray[Any]]) -> dict[str, Any]:

@@ -139,11 +139,11 @@ def _heights(kind: str, surface: Arrays, plan: Arrays | None, after: Arrays | No
     planned = np.asarray(_given(plan)["predicted_removal_nm" if kind == "removal" else "residual_nm"], dtype=np.float64)
     if planned.shape != height.shape:
         raise ValueError(f"grids {planned.shape} and {height.shape}")
-    known = np.where(np.isfinite(height), planned, np.nan)
+    expected = np.where(np.isfinite(height), planned, np.nan)
     if kind != "residual":
-        return known
+        return expected
     last, mask = np.asarray(_given(after)["height_nm"], dtype=np.float64), surface["metric_mask"]
-    return _about_mean(last, mask) - _about_mean(known, mask)
+    return _about_mean(last, mask) - _about_mean(expected, mask)
 
 
 def _about_mean(height_nm: FloatArray, mask: BoolArray) -> FloatArray:
@@ -214,7 +214,7 @@ def _thinned(sampled: _Sampled, px: int) -> _Sampled:
 
 def _encoded(sampled: _Sampled, key: str, encoding: Encoding) -> dict[str, Any]:
     """``rows``: the clear aperture, null where there are no data. ``float32``: all data, NaN where there are none."""
-    known = {
+    facts = {
         "pitch_mm": sampled.pitch_mm,
         "x0_mm": sampled.corner_mm[0],
         "y0_mm": sampled.corner_mm[1],
@@ -226,7 +226,7 @@ def _encoded(sampled: _Sampled, key: str, encoding: Encoding) -> dict[str, Any]:
     if encoding == "float32":
         values = base64.b64encode(sampled.values.astype("<f4").tobytes()).decode("ascii")
         mask = base64.b64encode(np.packbits(sampled.aperture).tobytes()).decode("ascii")
-        return {**known, key: values, "aperture": mask}
+        return {**facts, key: values, "aperture": mask}
     shown = np.where(sampled.aperture, sampled.values, np.nan)
     digits = 3 if key == "height_nm" else 5
-    return {**known, key: [[round(float(one), digits) if np.isfinite(one) else None for one in row] for row in shown]}
+    return {**facts, key: [[round(float(one), digits) if np.isfinite(one) else None for one in row] for row in shown]}

@@ -97,11 +97,11 @@ class Metrics:
         """The metrics in the text format, version 0.0.4, which every Prometheus reads."""
         async with self._turn:
             if time.monotonic() - self._made_s >= FRESH_S:
-                self._text = await asyncio.to_thread(self._look, api.watcher.state())
+                self._text = await asyncio.to_thread(self._render, api.watcher.state())
                 self._made_s = time.monotonic()
         return Response(self._text, headers={"content-type": CONTENT_TYPE_PLAIN_0_0_4})
 
-    def _look(self, state: Mapping[str, Any]) -> bytes:
+    def _render(self, state: Mapping[str, Any]) -> bytes:
         try:
             with naming_damage(self._state_dir):
                 return _exposed(MetricsSnapshot(self._cell, state, self._disk.tally(), self._disk.alarms()))

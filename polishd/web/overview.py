@@ -24,7 +24,7 @@ from polishd.daemon.journal.store import ArrayStore
 from polishd.model.devices import SPEED_BAND
 from polishd.model.errors import PolishdError
 
-KEPT_S = 2.0
+CACHE_S = 2.0
 """Age up to which an answer is given again: many pages cost as much as one."""
 EARLIER = 12
 """Number of earlier passes or phases from which a pace is taken."""
@@ -69,23 +69,23 @@ class _PassProgress:
 
 
 class Overview:
-    """Overview of one cell. Its answers are kept for ``KEPT_S``."""
+    """Overview of one cell. Its answers are kept for ``CACHE_S``."""
 
     def __init__(self, config: CellConfig, clock: Callable[[], float] = unix_s) -> None:
         self._config, self._state_dir, self._clock = config, config.state_dir, clock
         self._store = ArrayStore(self._state_dir / ARRAYS_NAME)
         self._progress: _PassProgress | None = None
         self._limits: tuple[tuple[int, str], dict[str, Any]] | None = None
-        self._kept: tuple[float, dict[str, Any]] | None = None
+        self._cached: tuple[float, dict[str, Any]] | None = None
 
     def facts(self) -> dict[str, Any]:
         """Return limits, tolerance, notifiers, pass and phase; the last two are None where none is under way."""
         now_s = self._clock()
-        if self._kept is not None and 0 <= now_s - self._kept[0] < KEPT_S:
-            return self._kept[1]
+        if self._cached is not None and 0 <= now_s - self._cached[0] < CACHE_S:
+            return self._cached[1]
         with naming_damage(self._state_dir):
             found = self._read(now_s)
-        self._kept = (now_s, found)
+        self._cached = (now_s, found)
         return found
 
     def _read(self, now_s: float) -> dict[str, Any]:
@@ -176,10 +176,10 @@ class Overview:
             "executed": progress.curve,
             "planned": planned,
             "behind_s": _behind_s(progress.curve, planned),
-            "left": self._left(dwell_s, progress.contact_s, now_s - started),
+            "left": self._remaining(dwell_s, progress.contact_s, now_s - started),
         }
 
-    def _left(self, dwell_s: float, contact_s: float, elapsed_s: float) -> dict[str, Any] | None:
+    def _remaining(self, dwell_s: float, contact_s: float, elapsed_s: float) -> dict[str, Any] | None:
         """Return the time until the end of the pass, its error (one standard deviation), and what both rest on."""
         if dwell_s <= 0:
             return None
@@ -243,8 +243,13 @@ def reading_row(
     """Return time, force, set point and speed of an answer of the daemon; None where a reading is older."""
     readings = live.get("readings") or {}
 
-    def fresh(name: str, key: str) -> float | None:
+    def fresh_value(name: str, key: str) -> float | None:
         one = readings.get(name)
         return None if not one or one.get("age_s", oldest_s) >= oldest_s else one.get(key)
 
-    return (round(at_s, 2), fresh("force", "force_n"), fresh("force", "setpoint_n"), fresh("speed", "rpm"))
+    return (
+        round(at_s, 2),
+        fresh_value("force", "force_n"),
+        fresh_value("force", "setpoint_n"),
+        fresh_value("speed", "rpm"),
+    )

@@ -72,9 +72,9 @@ class PartRow:
 
     def facts(self) -> dict[str, Any]:
         """Return its values for JSON."""
-        known = asdict(self)
-        del known["over_predicted"], known["week_s"]
-        return {**known, "hours": self.hours}
+        facts = asdict(self)
+        del facts["over_predicted"], facts["week_s"]
+        return {**facts, "hours": self.hours}
 
 
 SORTS: Mapping[str, Callable[[PartRow], Any]] = {
@@ -92,7 +92,7 @@ SORTS: Mapping[str, Callable[[PartRow], Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class PartFilter:
-    """Parts of which a table or a chart is asked."""
+    """Filter for the parts of a table or a chart."""
 
     text: str = ""
     """In the name of part or job, without regard to case."""
@@ -135,10 +135,10 @@ class PartHistory:
         rows = self.rows()
         found = [row for row in rows if chosen.matches(row)]
         key = SORTS[name]
-        known = sorted(
+        with_value = sorted(
             (row for row in found if key(row) is not None), key=key, reverse=sort.startswith("-") or not sort
         )
-        ordered = known + [row for row in found if key(row) is None]
+        ordered = with_value + [row for row in found if key(row) is None]
         page = ordered[offset : offset + limit]
         return {"total": len(rows), "matched": len(found), "offset": offset, "parts": [row.facts() for row in page]}
 
@@ -156,11 +156,11 @@ class PartHistory:
 
     def typical_s(self, jobs: Iterable[int]) -> tuple[float, int] | None:
         """Return the median time from begin to end of finished jobs, s, and their number; None: there is none."""
-        wanted = set(jobs)
+        selected = set(jobs)
         took = [
             row.ended_s - row.began_s
             for row in self.rows()
-            if row.number in wanted and row.ended_s is not None and row.result in {"accepted", "rejected"}
+            if row.number in selected and row.ended_s is not None and row.result in {"accepted", "rejected"}
         ]
         return (quantile(took, 2), len(took)) if took else None
 

@@ -89,8 +89,8 @@ class QueueView:
         }
 
     def _find_added_by(self, to_do: Iterable[Mapping[str, Any]]) -> None:
-        wanted = {one["name"]: one["id"] for one in to_do if one["id"] not in self._added_by}
-        if not wanted:
+        unresolved = {one["name"]: one["id"] for one in to_do if one["id"] not in self._added_by}
+        if not unresolved:
             return
         sql = (
             "SELECT data FROM event WHERE name = 'command_received' AND id > (SELECT max(id) FROM event) - ? "
@@ -100,11 +100,11 @@ class QueueView:
             for (text,) in journal.execute(sql, (EVENTS_SEARCHED,)):
                 data = json.loads(text)
                 for name in str(data["reason"]).split(", "):
-                    if name in wanted:
-                        self._added_by[wanted.pop(name)] = str(data["by"])
-                if not wanted:
+                    if name in unresolved:
+                        self._added_by[unresolved.pop(name)] = str(data["by"])
+                if not unresolved:
                     return
-        for number in wanted.values():
+        for number in unresolved.values():
             self._added_by[number] = ""
 
     def _details_of(self, one: Mapping[str, Any]) -> dict[str, Any]:

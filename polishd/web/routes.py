@@ -21,9 +21,9 @@ from polishd.config.cell import CellConfig
 from polishd.model.errors import PolishdError
 from polishd.util.extras import missing_message
 from polishd.web.api import MOST_NUMBER, Api
-from polishd.web.http import server as door
+from polishd.web.http import server as http_server
 from polishd.web.http.certificates import Certificate
-from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, answered, hosts_of, refusal
+from polishd.web.http.server import HANDLERS, JsonAnswer, RateLimiter, RequestGuard, hosts_of, json_response, refusal
 from polishd.web.http.static_files import static_files
 from polishd.web.http.users import HttpSession, Role, SessionStore, UserFile, address_of, forged, users_path
 from polishd.web.map_data import ENCODINGS, LEAST_PX, MAP_KINDS
@@ -265,7 +265,7 @@ def application(config: CellConfig, certificate: Certificate | None = None) -> A
             await reading
 
     async def sign_in(request: Request) -> Response:
-        return await answered(api.sign_in(request, rate))
+        return await json_response(api.sign_in(request, rate))
 
     async def described(_request: Request) -> Response:
         return JsonAnswer(document())
@@ -288,7 +288,7 @@ def serve(config: CellConfig) -> None:
         raise config.error("web.address", "is beyond this computer, and there are no users; add one: polishd web "
                            "CELL.toml --add-user NAME --role ROLE")  # fmt: skip
     certificate = Certificate.of(config, web)
-    door.serve(application(config, certificate), web, certificate)
+    http_server.serve(application(config, certificate), web, certificate)
 
 
 def _endpoint(api: Api, rate: RateLimiter, route: ApiRoute) -> Callable[[Request], Awaitable[Response]]:
@@ -306,7 +306,7 @@ def _endpoint(api: Api, rate: RateLimiter, route: ApiRoute) -> Callable[[Request
             return refusal(403, f"needs the role {route.role.value}")
         if route.method != "GET" and (why := forged(request, session)):
             return refusal(403, why)
-        return await answered(route.does(api, request, session))
+        return await json_response(route.does(api, request, session))
 
     return answer
 

@@ -255,10 +255,10 @@ class RunData:
 
 def _pass(row: tuple[Any, ...]) -> dict[str, Any]:
     _, facts, started, ended, how, program = row
-    known = json.loads(facts)
-    wanted = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "program", "findings", "plan_figures")
-    contact_s = (known.get("shown") or {}).get("contact_s")
-    values = {"program_sha256": program, "contact_s": contact_s, **{key: known.get(key) for key in wanted}}
+    record = json.loads(facts)
+    keys = ("predicted_rms_nm", "dwell_s", "forecast", "tool", "program", "findings", "plan_figures")
+    contact_s = (record.get("shown") or {}).get("contact_s")
+    values = {"program_sha256": program, "contact_s": contact_s, **{key: record.get(key) for key in keys}}
     return {"began_s": started, "ended_s": ended, "how": how or "begun", **values}
 
 
@@ -268,8 +268,8 @@ def _alarm(event: Mapping[str, Any]) -> dict[str, Any]:
     if event["name"] == PlanAwaitingApproval.name:
         what = f"a plan of {data['dwell_s'] / 60:.0f} min to {data['predicted_rms_nm']:.2f} nm RMS waits for approval"
         data = {**data, field: what}
-    known = {key: event[key] for key in ("number", "at_s", "cycle", "name")}
-    return {**known, "severity": severity, "what": str(data.get(field, "")), "todo": data.get("next") or todo}
+    entry = {key: event[key] for key in ("number", "at_s", "cycle", "name")}
+    return {**entry, "severity": severity, "what": str(data.get(field, "")), "todo": data.get("next") or todo}
 
 
 def _rounded(values: NDArray[np.float64], digits: int) -> list[float | None]:

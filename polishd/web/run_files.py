@@ -95,8 +95,8 @@ class RunFiles:
             pdf = files.get(str(Path(name).with_suffix(".pdf")))
             if one.path.suffix != ".json" or pdf is None or one.size > MOST_CERTIFICATE_BYTES:
                 continue
-            if (known := _certificate(one)) is not None:
-                yield {"pdf": pdf.name, "json": name, "bytes": pdf.size, **known}
+            if (certificate := _certificate(one)) is not None:
+                yield {"pdf": pdf.name, "json": name, "bytes": pdf.size, **certificate}
 
 
 def _certificate(file: RunFile) -> dict[str, Any] | None:

@@ -24,9 +24,9 @@ from polishd.web.overview import reading_row
 
 log = logging.getLogger(__name__)
 
-LOOK_S = 0.5
+POLL_S = 0.5
 """Interval between two requests."""
-ANSWER_S = 1.0
+REPLY_TIMEOUT_S = 1.0
 """Time without an answer after which the daemon counts as silent."""
 KEPT_READINGS = 1200
 """Readings that are kept for charts: ten minutes."""
@@ -43,9 +43,9 @@ class Watcher:
         self._state_dir = state_dir
         self._pages: set[asyncio.Queue[str | None]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._ended, self._look = threading.Event(), threading.Event()
+        self._ended, self._wake = threading.Event(), threading.Event()
         self._live: dict[str, Any] = {}
-        self._heard_s: float | None = None
+        self._last_reply_s: float | None = None
         self._readings: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=KEPT_READINGS)
         self.daemon = "none"
         """``up``, ``silent`` or ``none``."""
@@ -54,9 +54,9 @@ class Watcher:
 
     def state(self) -> dict[str, Any]:
         """State of the daemon and its age."""
-        age_s = None if self._heard_s is None else round(time.monotonic() - self._heard_s, 3)
-        known = {"daemon": self.daemon, "age_s": age_s, "number": self.number, "live": self._live or None}
-        return known if self.daemon != "none" else {**known, "ending": last_ending(self._state_dir)}
+        age_s = None if self._last_reply_s is None else round(time.monotonic() - self._last_reply_s, 3)
+        facts = {"daemon": self.daemon, "age_s": age_s, "number": self.number, "live": self._live or None}
+        return facts if self.daemon != "none" else {**facts, "ending": last_ending(self._state_dir)}
 
     def readings(self) -> list[tuple[float, float | None, float | None, float | None]]:
         """Unix time, force (N), its set point (N) and speed (rpm) of the last minutes; None: there was no reading."""
@@ -65,13 +65,13 @@ class Watcher:
     @contextmanager
     def page(self) -> Iterator[AsyncIterator[str]]:
         """Messages for a page: ``event: state`` twice a second, ``event: happened`` for each event."""
-        waiting: asyncio.Queue[str | None] = asyncio.Queue()
-        waiting.put_nowait(_message("state", self.state()))
-        self._pages.add(waiting)
+        messages: asyncio.Queue[str | None] = asyncio.Queue()
+        messages.put_nowait(_message("state", self.state()))
+        self._pages.add(messages)
         try:
-            yield _until_none(waiting)
+            yield _until_none(messages)
         finally:
-            self._pages.discard(waiting)
+            self._pages.discard(messages)
 
     @property
     def pages(self) -> int:
@@ -80,12 +80,12 @@ class Watcher:
 
     def _start(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        for work in (self._ask_on, self._listen_on):
+        for work in (self._poll_daemon, self._follow_events):
             threading.Thread(target=work, name="watcher", daemon=True).start()
 
     def _end(self) -> None:
         self._ended.set()
-        self._look.set()
+        self._wake.set()
         for page in tuple(self._pages):
             page.put_nowait(None)
 
@@ -96,18 +96,18 @@ class Watcher:
             except RuntimeError:  # closed in this moment
                 self._ended.set()
 
-    def _ask_on(self) -> None:
+    def _poll_daemon(self) -> None:
         while not self._ended.is_set():
-            daemon, answer = self._asked()
+            daemon, reply = self._request_live()
             if daemon == "silent":
-                daemon, answer = self._asked()  # the daemon may have been killed during the request
-            self._in_loop(self._told, daemon, answer)
-            self._look.wait(LOOK_S)
-            self._look.clear()
+                daemon, reply = self._request_live()  # the daemon may have been killed during the request
+            self._in_loop(self._on_reply, daemon, reply)
+            self._wake.wait(POLL_S)
+            self._wake.clear()
 
-    def _asked(self) -> tuple[str, dict[str, Any] | None]:
+    def _request_live(self) -> tuple[str, dict[str, Any] | None]:
         try:
-            return "up", client.request(self._state_dir, "live", ANSWER_S / 2)
+            return "up", client.request(self._state_dir, "live", REPLY_TIMEOUT_S / 2)
         except NoDaemon:
             return "none", None
         except PolishdError:
@@ -116,32 +116,32 @@ class Watcher:
             log.exception("asking the daemon failed; the watcher asks again")
             return "silent", None
 
-    def _listen_on(self) -> None:
+    def _follow_events(self) -> None:
         while not self._ended.is_set():
             try:
-                for event in client.subscribe(self._state_dir, ANSWER_S):
+                for event in client.subscribe(self._state_dir, REPLY_TIMEOUT_S):
                     if self._ended.is_set():
                         return
-                    self._in_loop(self._happened, event)
+                    self._in_loop(self._on_event, event)
             except (PolishdError, OSError) as error:
                 log.debug("no events: %s", error)
             except Exception:  # the thread must survive any event of the daemon
                 log.exception("listening to the daemon failed; the watcher listens again")
-            self._look.set()  # report the end at once
-            self._ended.wait(LOOK_S)
+            self._wake.set()  # report the end at once
+            self._ended.wait(POLL_S)
 
-    def _told(self, daemon: str, answer: dict[str, Any] | None) -> None:
+    def _on_reply(self, daemon: str, reply: dict[str, Any] | None) -> None:
         self.daemon = daemon
-        if answer is not None:
-            self._live, self._heard_s = answer, time.monotonic()
-            self._readings.append(reading_row(answer, time.time(), OLD_S))
+        if reply is not None:
+            self._live, self._last_reply_s = reply, time.monotonic()
+            self._readings.append(reading_row(reply, time.time(), OLD_S))
         self._send(_message("state", self.state()))
 
-    def _happened(self, event: dict[str, Any]) -> None:
+    def _on_event(self, event: dict[str, Any]) -> None:
         self.number += 1
         self._send(_message("happened", event))
         if event.get("name") != "pass_progressed":
-            self._look.set()
+            self._wake.set()
 
     def _send(self, message: str) -> None:
         for page in tuple(self._pages):
@@ -167,6 +167,6 @@ def _message(kind: str, facts: dict[str, Any]) -> str:
     return f"event: {kind}\ndata: {json.dumps(finite(facts))}\n\n"
 
 
-async def _until_none(waiting: asyncio.Queue[str | None]) -> AsyncIterator[str]:
-    while (message := await waiting.get()) is not None:
+async def _until_none(messages: asyncio.Queue[str | None]) -> AsyncIterator[str]:
+    while (message := await messages.get()) is not None:
         yield message

@@ -175,7 +175,7 @@ def as_touched(recipe: Recipe) -> Recipe:
 
 
 def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], within_s: float) -> FirstTouchPlan:
-    """Tracks, their times and their program, and what is expected to be known after it. ComputeError, ConfigError."""
+    """Plan the tracks, their times, their program, and the expected knowledge after it. ComputeError, ConfigError."""
     own = dialect(dialect_of(config))
     if isinstance(own, LanguageProfile) and config.program_path.is_file():
         own = made_like(own, config.program_path.read_bytes(), config.program_path.name)
@@ -189,11 +189,11 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     most_nm = min(MOST_NM, config.limits.max_removal_nm / 2)
     shortest_s = recipe.envelope.least_point_s * np.bincount(path.track[path.track != BETWEEN], minlength=len(pool))
     longest = np.array([track.length_mm for track in pool]) / slow
-    known = initial_knowledge(model.parameters)
+    prior = initial_knowledge(model.parameters)
     lasts_s = design_track_times(
         model,
         owner,
-        _without_wear(known),
+        _without_wear(prior),
         noise_nm=cell.noise_nm,
         wanted=wanted,
         step_s=np.maximum(min(STEP_NM, most_nm) / deepest, shortest_s),
@@ -214,13 +214,13 @@ def plan_touch(config: CellConfig, recipe: Recipe, wanted: Mapping[str, float], 
     text, program, _ = cell.program([pool[c] for c in order], speed)
     lasts = motion.delivered_time_s(program, program.time_s, steps.envelope_of(recipe, program))
     if lasts.sum() > within_s:
-        whole, between = lasts.sum() / 60, (lasts.sum() - seconds.sum()) / 60
+        total_min, between_min = lasts.sum() / 60, (lasts.sum() - seconds.sum()) / 60
         raise ComputeError(
-            f"the touch takes {whole:.1f} min, {between:.1f} of them from track to track, and {within_s / 60:.1f} are "
-            "allowed; allow more (--minutes), or want less (--want)"
+            f"the touch takes {total_min:.1f} min, {between_min:.1f} of them from track to track, and "
+            f"{within_s / 60:.1f} are allowed; allow more (--minutes), or want less (--want)"
         )
-    learned = knowledge_after_pass(cell.forward(program, lasts), known, cell.noise_nm)
-    return FirstTouchPlan(text, program, known, learned, float(lasts.sum()), len(order))
+    learned = knowledge_after_pass(cell.forward(program, lasts), prior, cell.noise_nm)
+    return FirstTouchPlan(text, program, prior, learned, float(lasts.sum()), len(order))
 
 
 def _between_mm_s(cell: _Cell, length_mm: FloatArray) -> float:
@@ -253,10 +253,10 @@ def _pool(cell: _Cell) -> list[Track]:
     return [track for track, reached in zip(every, can, strict=True) if reached]
 
 
-def _without_wear(known: PriorKnowledge) -> PriorKnowledge:
+def _without_wear(prior: PriorKnowledge) -> PriorKnowledge:
     """For the choice of tracks: none of them knows when it will be polished."""
-    still = np.array([name != "wear" for name in known.names])
-    return replace(known, covariance=np.where(np.outer(still, still), known.covariance, 1e-12 * np.eye(len(still))))
+    still = np.array([name != "wear" for name in prior.names])
+    return replace(prior, covariance=np.where(np.outer(still, still), prior.covariance, 1e-12 * np.eye(len(still))))
 
 
 def _shares(path: Joined, program: Program) -> FloatArray:
@@ -368,7 +368,7 @@ def _wanted(own: Mapping[str, float]) -> dict[str, float]:
 def _rows(touch: FirstTouchPlan, wanted: Mapping[str, float]) -> list[dict[str, Any]]:
     parameters = touch.before.parameters
     prior, learned = (covariance_at_mid_pass(known, touch.seconds / 7200) for known in (touch.before, touch.after))
-    said = confounding_of(parameters, prior, learned)
+    confounding = confounding_of(parameters, prior, learned)
     errors = zip(parameters, np.sqrt(np.diag(prior)), np.sqrt(np.diag(learned)), strict=True)
     return [
         {
@@ -377,7 +377,7 @@ def _rows(touch: FirstTouchPlan, wanted: Mapping[str, float]) -> list[dict[str, 
             "before": float(before),
             "after": float(after),
             "wanted": wanted.get(p.name, FIELD_WANTED if p.name.startswith("field_") else None),
-            "confounded_with": list(said[p.name].confounded_with),
+            "confounded_with": list(confounding[p.name].confounded_with),
         }
         for p, before, after in errors
         if p.name not in ABERRATIONS

@@ -231,5 +231,5 @@ def _emit(
 ) -> None:
     """What was found, and where the fragment is."""
     written = [] if out is None else [f'written to {out}; the cell takes it with include = ["{out.name}"]']
-    whole = {**answer, "fragment": None if out is None else str(out)}
-    emit(whole, as_json=as_json, table=table, lines=[*lines, *written])
+    result = {**answer, "fragment": None if out is None else str(out)}
+    emit(result, as_json=as_json, table=table, lines=[*lines, *written])

@@ -46,14 +46,14 @@ Take = Callable[[Sequence[PartPose]], Sequence[SurfaceMap]]
 
 
 def instrument_verb(
-    config: CellConfig, files: Sequence[Path], asked: InstrumentOptions, take: Take, *, as_json: bool
+    config: CellConfig, files: Sequence[Path], request: InstrumentOptions, take: Take, *, as_json: bool
 ) -> None:
-    """Which poses are wanted; or, of maps at given poses, the system map, written into the profile.
+    """Show the needed poses; or write the system map into the profile, from maps at given poses.
 
     Args:
         config: the cell whose instrument it is.
         files: maps; none: they are taken as they come.
-        asked: the poses, and what is known of them; without poses it is only said which are wanted.
+        request: the poses and their uncertainty; without poses, the needed ones are only shown.
         take: takes maps as they come.
         as_json: for programs.
 
@@ -62,36 +62,38 @@ def instrument_verb(
         MapError, SurfaceError, DeviceError: of the maps.
     """
     profile = _profile(config)
-    if asked.angles is None and asked.at is None:
+    if request.angles is None and request.at is None:
         _advise(config, profile, as_json=as_json)
         return
     source = MapSource.of(config.path, profile.path, partly=False, system=False)
-    options = _options(config, profile, asked)
-    if asked.at is not None and not files:
+    options = _options(config, profile, request)
+    if request.at is not None and not files:
         raise typer.BadParameter("--at lists files: name them, or say --angles and take maps as they come")
-    if (asked.power is None) != (asked.power_sigma is None):
+    if (request.power is None) != (request.power_sigma is None):
         raise typer.BadParameter("--power and --power-sigma go together: a reference says how well it is known")
     poses = poses_of(options, files)
-    target = asked.out or profile.path.parent / f"system-{datetime.now(UTC):%Y%m%d-%H%M%S}.x3p"
+    target = request.out or profile.path.parent / f"system-{datetime.now(UTC):%Y%m%d-%H%M%S}.x3p"
     require_target(target, files, source, force=False)
     if files:
         surfaces = [source.read(path) for path in files]
     else:
         surfaces = [apply_profile(one, profile.instrument) for one in take(poses)]
-    apart = separate_maps(surfaces, poses, options, source)
-    instrument = apart.instrument
-    if asked.power is not None and asked.power_sigma is not None:
-        instrument = _with_power(instrument, AbsoluteTestResult.of(apart.found), asked.power, asked.power_sigma)
+    separation = separate_maps(surfaces, poses, options, source)
+    instrument = separation.instrument
+    if request.power is not None and request.power_sigma is not None:
+        instrument = _with_power(
+            instrument, AbsoluteTestResult.of(separation.found), request.power, request.power_sigma
+        )
     more = ["nothing was written: --dry-run"]
-    if not asked.dry_run:
+    if not request.dry_run:
         stored = store(instrument, target, source)
-        apart.answer["instrument"] |= stored
+        separation.answer["instrument"] |= stored
         _record(profile, target, stored["sha256"])
         more = [f"{profile.path}: [system] names it; it goes off each map from now on"]
-    apart.show(as_json=as_json, more=more)
+    separation.show(as_json=as_json, more=more)
 
 
-def wanted_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[list[PartPose], dict[str, str]]:
+def needed_poses(radius_mm: float, noise_nm: float, sigma_nm: float) -> tuple[list[PartPose], dict[str, str]]:
     """Return the fewest poses that determine the low terms, the first one unrotated, and the undetermined terms."""
     first = PartPose(0.0)
     shift = SHIFT * radius_mm
@@ -115,16 +117,16 @@ def _profile(config: CellConfig) -> InstrumentProfile:
     return profile
 
 
-def _options(config: CellConfig, profile: InstrumentProfile, asked: InstrumentOptions) -> AbsoluteOptions:
+def _options(config: CellConfig, profile: InstrumentProfile, request: InstrumentOptions) -> AbsoluteOptions:
     return AbsoluteOptions(
         profile=profile.path,
         cell=config.path,
-        angles=asked.angles,
-        shifts=asked.shifts,
-        at=asked.at,
-        noise=asked.noise,
-        angle_error=asked.angle_error,
-        shift_error=asked.shift_error,
+        angles=request.angles,
+        shifts=request.shifts,
+        at=request.at,
+        noise=request.noise,
+        angle_error=request.angle_error,
+        shift_error=request.shift_error,
     )
 
 
@@ -151,7 +153,7 @@ def _advise(config: CellConfig, profile: InstrumentProfile, *, as_json: bool) ->
     noise = profile.instrument.repeatability_nm or NOISE_NM
     limit = min((line.limit for line in config.lines if line.bounded), default=10 * noise)
     sigma = max(2 * noise, ENOUGH * limit)
-    poses, needs = wanted_poses(config.outline().radius_mm, noise, sigma)
+    poses, needs = needed_poses(config.outline().radius_mm, noise, sigma)
     angles = ",".join(f"{pose.angle_deg:g}" for pose in poses)
     shifts = ":".join(f"{pose.x_mm:g},{pose.y_mm:g}" for pose in poses)
     command = f"polishd calibrate instrument {config.path.name} --angles {angles}"
@@ -174,18 +176,20 @@ def _advise(config: CellConfig, profile: InstrumentProfile, *, as_json: bool) ->
 
 # Maps of a part that the operator rotates: each new map of the cell's folder is one pose.
 
-Ask = Callable[[PartPose, int, int], None]
+Prompt = Callable[[PartPose, int, int], None]
 """Ask the operator to place the part: the pose, its number from 1, and the number of poses. Returns when it is done."""
 
 
-def calibrate_verb(cell: Path, files: Sequence[Path], asked: InstrumentOptions, *, as_json: bool) -> None:
+def calibrate_verb(cell: Path, files: Sequence[Path], request: InstrumentOptions, *, as_json: bool) -> None:
     """Run ``instrument_verb``; without files the operator rotates the part."""
     config, hooks = load_cell(cell)
-    instrument_verb(config, files, asked, lambda poses: asyncio.run(taken(config, hooks, poses)), as_json=as_json)
+    instrument_verb(
+        config, files, request, lambda poses: asyncio.run(measure_poses(config, hooks, poses)), as_json=as_json
+    )
 
 
-async def taken(
-    config: CellConfig, hooks: Hooks, poses: Sequence[PartPose], ask: Ask | None = None
+async def measure_poses(
+    config: CellConfig, hooks: Hooks, poses: Sequence[PartPose], prompt: Prompt | None = None
 ) -> list[SurfaceMap]:
     """Take a map at each pose. Nothing moves; only the instrument is opened.
 
@@ -199,7 +203,7 @@ async def taken(
         try:
             await cell.open_one(cell.used["metrology"])
             for number, pose in enumerate(poses, 1):
-                await asyncio.to_thread(ask or _by_a_person, pose, number, len(poses))
+                await asyncio.to_thread(prompt or _by_a_person, pose, number, len(poses))
                 stderr.print(f"measure now: waiting for map {number} of {len(poses)}", markup=False)
                 found.append(await cell.metrology.next_map(found[-1].sha256 if found else None))
         finally:
@@ -208,5 +212,5 @@ async def taken(
 
 
 def _by_a_person(pose: PartPose, number: int, count: int) -> None:
-    said = f"map {number} of {count}: place the part at {pose}, counter-clockwise, right and up as the tool sees it"
-    typer.prompt(f"{said}; press Enter when it is in place", default="", show_default=False, err=True)
+    text = f"map {number} of {count}: place the part at {pose}, counter-clockwise, right and up as the tool sees it"
+    typer.prompt(f"{text}; press Enter when it is in place", default="", show_default=False, err=True)

@@ -42,7 +42,7 @@ AROUND_MM = 15.0
 """How far beside the part the tool goes: turns and landing of a path, and some room."""
 ABOVE_MM = 60.0
 BLANK_ARM = ("dh", "joint_limits_deg", "home_deg")
-"""What only a data sheet says of an arm."""
+"""Values of an arm that only its data sheet has."""
 STIFFNESS = "kinematics.joint_stiffness_n_mm_per_rad"
 NOT_MEASURED = "not the arm's: as if nearly rigid; polishd calibrate stiffness fits them"
 
@@ -93,7 +93,7 @@ ORDER = (
 
 
 class _ArmDocument(TomlDocument):
-    """What is to be known before a part can be put before an arm."""
+    """Values that are needed to place a part in front of an arm."""
 
     kinematics: SerialSection
 
@@ -123,7 +123,7 @@ class CellDraft:
 
     @property
     def arm(self) -> str | None:
-        """The known arm: the one that is answered, or the usual one of the maker without an answer."""
+        """The arm of the answers, or the usual one of the maker without an answer."""
         arm, kinematics = self.answers.own.kinematics.arm, self.answers.cell.get("kinematics", {})
         if arm is None and self.maker is not None and "type" not in kinematics:
             return next(iter(self.maker.arms), None)
@@ -189,7 +189,7 @@ def draft_cell(answers: Answers, folder: Path, hooks: Hooks, sample: SampleMap |
         port, _, name = key.partition(".")
         if name in OF_A_TYPE and f"{port}.type" not in draft.assumed and not _is_usual(draft, port):
             continue  # of another type, whose own check names what is missing
-        if not _said_otherwise(draft, key):
+        if not _is_answered_elsewhere(draft, key):
             draft.assume(key, value, why)
     if "spindle.eds" in draft.assumed:
         draft.files[EDS] = SIMULATED_EDS.read_bytes()
@@ -226,8 +226,8 @@ def _is_usual(draft: CellDraft, port: str) -> bool:
     return bool(draft.raw[port].get("type") == ASSUMED[f"{port}.type"][0])
 
 
-def _said_otherwise(draft: CellDraft, key: str) -> bool:
-    """Whether another answer says what this key would."""
+def _is_answered_elsewhere(draft: CellDraft, key: str) -> bool:
+    """Return whether another answer already determines this key."""
     if key == "job.tolerance_nm":
         return "tolerance" in draft.raw
     if key.endswith(".type") and (port := key.partition(".")[0]) in PORTS:
@@ -304,9 +304,9 @@ def _plugins(draft: CellDraft) -> list[str]:
         for one in (draft.raw.get(port, {}), *_tables(draft.raw.get(port, {})))
         if isinstance(one, Mapping)
     ]
-    brought = [draft.hooks.plugin_of("polishd_device_types", name) for name in named if name in types]
+    plugins = [draft.hooks.plugin_of("polishd_device_types", name) for name in named if name in types]
     notifiers = ["notifications"] if "notify" in draft.raw else []
-    return list(dict.fromkeys([ALWAYS[0], *brought, *ALWAYS[1:], *notifiers]))
+    return list(dict.fromkeys([ALWAYS[0], *plugins, *ALWAYS[1:], *notifiers]))
 
 
 def _tables(section: Any) -> list[Any]:
@@ -374,11 +374,11 @@ def _keys(draft: CellDraft, name: str, section: Mapping[str, Any]) -> Iterator[s
         why = FILL_IN if blank else draft.assumed.get(f"{name}.{key}")
         if why:
             yield f"{ASSUMED_MARK}{why}"
-        lines = _written(key, value, in_words(docs.get(key, "")))
+        lines = _key_lines(key, value, in_words(docs.get(key, "")))
         yield from (f"# {line}" if blank and not line.startswith("#") else line for line in lines)
 
 
-def _written(key: str, value: Any, meaning: str) -> Iterator[str]:
+def _key_lines(key: str, value: Any, meaning: str) -> Iterator[str]:
     """A key's lines: what it means behind it, or above it where there is no room."""
     if key == "dh" and isinstance(value, list | tuple):
         yield from textwrap.wrap(meaning, WIDTH - 2, initial_indent="# ", subsequent_indent="# ")

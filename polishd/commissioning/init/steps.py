@@ -84,10 +84,10 @@ def _steps(config: CellConfig, file: Path) -> Iterator[SetupStep]:
     yield SetupStep("plan", bool(plans), planned, f"polishd plan {cell} {MAP} --out {out}")
     rehearsal = config.state_dir.parent / f"{config.path.stem}-rehearsal"
     rehearsed = _summaries(rehearsal / "run", rehearsal / "state" / "runs")
-    said = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
+    outcome = _outcomes(rehearsed) or ("made, and not run" if rehearsal.is_dir() else "not made")
     again = f"polishd run {_quoted(rehearsal / f'{config.path.stem}-rehearsal.toml')}"
     simulate = f"polishd sim {_quoted(rehearsal / 'sim.toml')}" if rehearsal.is_dir() else f"polishd rehearse {cell}"
-    yield SetupStep("rehearse", _succeeded(rehearsed), said, f"{simulate}, and in another terminal: {again}")
+    yield SetupStep("rehearse", _succeeded(rehearsed), outcome, f"{simulate}, and in another terminal: {again}")
     yield SetupStep("run", _succeeded(runs), _outcomes(runs) or "no run has ended", f"polishd run {cell}")
 
 

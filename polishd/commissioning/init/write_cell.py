@@ -82,22 +82,22 @@ def find_seat(config: CellConfig) -> Seat | None:
 
     None where it reaches nothing of a tenth of the size. The cell's own is taken where it will do.
     """
-    sight = _Sight(config)
+    reach_check = _ReachCheck(config)
     origins = tuple(_places(config))
     quick = not isinstance(config.robot_model(), SerialRobot)
     for share in (1.0, *SHARES):
-        possible = [origin for origin in origins if sight.may_reach(origin, share)]
+        possible = [origin for origin in origins if reach_check.may_reach(origin, share)]
         for origin in possible if quick else possible[: NEAREST[share < 1.0]]:
-            if sight.reached(origin, share):
+            if reach_check.reached(origin, share):
                 return Seat(origin, share)
-        if share == 1.0 and quick and (just := sight.just_reached(possible)):
+        if share == 1.0 and quick and (just := reach_check.just_reached(possible)):
             return Seat(just)
     return None
 
 
 def reached(config: CellConfig) -> bool:
     """Whether the robot reaches the part where the cell has it."""
-    return _Sight(config).reached(config.part.origin_mm, 1.0)
+    return _ReachCheck(config).reached(config.part.origin_mm, 1.0)
 
 
 def _places(config: CellConfig) -> Iterator[Vector]:
@@ -119,7 +119,7 @@ def _places(config: CellConfig) -> Iterator[Vector]:
             yield round(float(x), 1), round(float(y), 1), round(float(first[2] + along), 1)
 
 
-class _Sight:
+class _ReachCheck:
     """A cell's part as points, and whether its robot comes to them with the tool leaning as the cell dips."""
 
     def __init__(self, config: CellConfig) -> None:
@@ -167,11 +167,11 @@ class _Sight:
             return False
         lies = Placement(origin_mm, self._rotation)
         try:
-            return self._comes_to(lies, share * self._rim) and self._comes_to(lies, share * self._all)
+            return self._reaches(lies, share * self._rim) and self._reaches(lies, share * self._all)
         except ComputeError:  # the lean has no direction there, or the optic ends
             return False
 
-    def _comes_to(self, lies: Placement, seen_mm: FloatArray) -> bool:
+    def _reaches(self, lies: Placement, seen_mm: FloatArray) -> bool:
         tip, axis = self._poses(lies, seen_mm)
         leans = self._dip_deg > 0 and self._options.dip_direction == "inward"
         if leans and np.hypot(tip[:, 0], tip[:, 1]).min() < OFF_AXIS_MM:
@@ -263,7 +263,7 @@ class NewCell:
 
 
 def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool, as_json: bool) -> None:
-    """Make a cell of answers, asked for where no file has them, and write it; what was assumed, and what is to be done.
+    """Make a cell from answers, with questions where no file has them; write it, and show assumptions and steps.
 
     Raises:
         ConfigError: answers that are wrong, and maps that they name, with file, line and key; files that are there
@@ -301,7 +301,7 @@ def init_verb(folder: Path, answers: Path | None, *, dry_run: bool, force: bool,
     }
     emit(answer, as_json=as_json, table=lambda: _table(made, cell, dry_run=dry_run))
     if not as_json:
-        _tell(made, cell, todo, dry_run=dry_run)
+        _print_result(made, cell, todo, dry_run=dry_run)
 
 
 def _prompt(question: Question, problem: str) -> str:
@@ -311,13 +311,13 @@ def _prompt(question: Question, problem: str) -> str:
     default = question.default if isinstance(question.default, str) else toml(question.default)
     stderr.print(question.why, style="dim", markup=False, highlight=False, soft_wrap=True)
     try:
-        said: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
+        reply: str = typer.prompt(question.key.lstrip("?") + among, default or LEFT_OUT, err=True, show_default=True)
     except typer.Abort as error:
         if not isinstance(error.__context__, EOFError):
             raise  # Ctrl-C
         stderr.print()
         raise typer.BadParameter(NO_DIALOG) from error
-    return "" if said == LEFT_OUT else said
+    return "" if reply == LEFT_OUT else reply
 
 
 def new_cell(answers: Answers, folder: Path) -> NewCell:
@@ -337,9 +337,9 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
         config = _within_reach(draft, config)
     draft.rebase()
     text = cell_text(draft)
-    said = _add_program(draft, config)
+    program_note = _add_program(draft, config)
     files = {CELL: text.encode(), **draft.files}
-    return NewCell(draft.folder, files, draft.assumed, draft.blank, said)
+    return NewCell(draft.folder, files, draft.assumed, draft.blank, program_note)
 
 
 @contextmanager
@@ -352,9 +352,9 @@ def _blamed(answers: Answers, key: str) -> Iterator[None]:
 
 
 def _makes_program(draft: CellDraft) -> bool:
-    """Whether a program over the part is wanted of `polishd init`, and enough is known of the robot to make one."""
-    wanted = draft.answers.own.program.make != "none" and "path" not in draft.answers.cell.get("program", {})
-    return wanted and not draft.blank
+    """Return whether the answers request a program over the part, and describe the robot well enough to make one."""
+    is_requested = draft.answers.own.program.make != "none" and "path" not in draft.answers.cell.get("program", {})
+    return is_requested and not draft.blank
 
 
 def _within_reach(draft: CellDraft, config: CellConfig) -> CellConfig:
@@ -407,13 +407,13 @@ def _add_program(draft: CellDraft, config: CellConfig) -> str:
     (name,) = config.program.paths
     try:
         quiet = quiet_lines(config, PITCH_MM, shape=shape)
-        wanted = draft.answers.own.program
+        section = draft.answers.own.program
         options = MakeOptions(
             shape,
             Path(name),
             pitch_mm=quiet.pitch_mm * (RANDOM_PITCH if shape == "random" else 1.0),
             step_mm=PITCH_MM,
-            **wanted.model_dump(include={"cross_deg", "phase", "seed"}),
+            **section.model_dump(include={"cross_deg", "phase", "seed"}),
         )
         if draft.maker is not None:
             options = replace(options, encoding=draft.maker.encoding, dwell_s=draft.maker.dwell_s)
@@ -466,7 +466,7 @@ def _table(made: NewCell, cell: Path, *, dry_run: bool) -> Table:
     return key_table(f"{cell}: {written}; assumed, look at each:", rows)
 
 
-def _tell(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) -> None:
+def _print_result(made: NewCell, cell: Path, todo: list[SetupStep], *, dry_run: bool) -> None:
     """The cell itself where nothing was written; else what is to be done, whole lines: commands can be copied."""
     if dry_run:
         stdout.print(made.files[CELL].decode(), markup=False, highlight=False, soft_wrap=True)

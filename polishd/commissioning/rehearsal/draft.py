@@ -44,7 +44,7 @@ class RehearsalDraft:
     hooks: Hooks
     sim: dict[str, dict[str, tuple[Any, str]]] = field(default_factory=dict)
     """sim.toml: by section and key a value, and the comment behind it."""
-    laid: dict[str, Any] = field(default_factory=dict)
+    overrides: dict[str, Any] = field(default_factory=dict)
     """Changed values of the rehearsal's cell by dotted key; None: the key is removed."""
     notes: list[str] = field(default_factory=list)
     """Differences between the simulated cell and the real one."""
@@ -74,21 +74,21 @@ class RehearsalDraft:
         substitute = own.substitute(port_of(device))
         if substitute is None:
             raise self.config.error(f"{device}.type", f"{raw.type!r} has no simulated device, and no other replaces it")
-        kept = {key: getattr(raw, key) for key in type(raw).model_fields if key != "type"}
-        self.laid[device] = {**kept, "type": substitute.name, **keys}
+        options = {key: getattr(raw, key) for key in type(raw).model_fields if key != "type"}
+        self.overrides[device] = {**options, "type": substitute.name, **keys}
         self.notes.append(f"{device}: there is no simulated {raw.type!r}; {substitute.name} replaces it")
         self._load_plugin(own.plugin_of("polishd_device_types", substitute.name))
 
     def instead(self, key: str, value: Any, why: str) -> None:
         """Replace a value of the cell, with a note; None: the key is left out."""
-        self.laid[key] = value
+        self.overrides[key] = value
         state = "is left out" if value is None else f"is {json.dumps(value)} in the rehearsal"
         self.notes.append(f"{key}: {why}; it {state}")
 
     def _load_plugin(self, name: str) -> None:
-        loaded = self.laid.get("plugins.load", list(self.config.plugins.load))
+        loaded = self.overrides.get("plugins.load", list(self.config.plugins.load))
         if name not in loaded:
-            self.laid["plugins.load"] = [*loaded, name]
+            self.overrides["plugins.load"] = [*loaded, name]
 
 
 def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
@@ -105,7 +105,7 @@ def move_address(draft: RehearsalDraft, device: str, address: str) -> None:
 
 def lay_address(draft: RehearsalDraft, device: str, address: str) -> None:
     """Give a device of the rehearsal's cell this address, and its simulated device what the cell does not say."""
-    draft.laid[f"{device}.address"] = address
+    draft.overrides[f"{device}.address"] = address
     url = urlsplit(address)
     if put_kind(draft, device, is_serial=url.scheme in {"serial", "slcan"}) and url.port is not None:
         draft.put(port_of(device), "port", url.port, f"{device}.address")
@@ -164,7 +164,7 @@ def cell_text(draft: RehearsalDraft) -> str:
     document = tomlkit.parse(config.source.text)
     if document.pop("include", None):  # what fragments say would replace what is changed here
         overlay(document, {key: value for key, value in config.raw.items() if key != "include"})
-    for key, value in {**_files(draft), **draft.laid}.items():
+    for key, value in {**_files(draft), **draft.overrides}.items():
         _set(document, key.split("."), value)
     head = f"# Made by polishd rehearse {config.path}: the same cell, with simulated devices and separate folders.\n"
     return head + "".join(f"# {note}\n" for note in draft.notes) + tomlkit.dumps(document)
@@ -217,7 +217,7 @@ def usual_folder(config: CellConfig) -> Path:
     return config.state_dir.parent / f"{config.path.stem}-rehearsal"
 
 
-def require_apart(draft: RehearsalDraft, out: Path) -> None:
+def require_separate_folders(draft: RehearsalDraft, out: Path) -> None:
     """ConfigError where the folder holds, or lies in, what the real cell writes; or where something is in it."""
     mine = out.resolve()
     for what, folder in _of_the_cell(draft):
@@ -332,7 +332,7 @@ def _adopt_files(draft: RehearsalDraft, device: str, options: Mapping[str, Any])
     """Use the cell's EDS file and device profile."""
     for key in ("eds", "profile"):
         if (key == "eds" and key in options) or (options.get(key) or "").endswith(".toml"):
-            draft.laid[f"{device}.{key}"] = str(draft.config.resolve(options[key]).absolute())
+            draft.overrides[f"{device}.{key}"] = str(draft.config.resolve(options[key]).absolute())
 
 
 def _adopt_scales(draft: RehearsalDraft, device: str, options: Mapping[str, Any], simulated: Mapping[str, Any]) -> None:
@@ -411,7 +411,7 @@ def _require_language(draft: RehearsalDraft, device: str) -> None:
 
 
 def _linuxcnc(draft: RehearsalDraft, device: str) -> None:
-    draft.laid |= {
+    draft.overrides |= {
         f"{device}.program_dir": f"{SIM_STATE}/linuxcnc/nc",
         f"{device}.controller_dir": "/mnt/nc",
         f"{device}.password": None,
@@ -427,7 +427,7 @@ def _universal_robots(draft: RehearsalDraft, device: str) -> None:
     options = draft.options(device)
     if options["tool_z"] != "into_part":
         raise draft.config.error(f"{device}.tool_z", "the simulated arm's tool frame has its z into the part only")
-    draft.laid |= {
+    draft.overrides |= {
         f"{device}.dashboard_port": free_port(),
         f"{device}.primary_port": free_port(),
     }
@@ -441,7 +441,7 @@ ABB_NAMES = {"task": "T_ROB1", "mechanical_unit": "ROB_1", "watch_task": "T_POLI
 
 def _abb_rws(draft: RehearsalDraft, device: str) -> None:
     options = draft.options(device)
-    draft.laid |= {f"{device}.{key}": None for key in ("user", "password", "certificate")}
+    draft.overrides |= {f"{device}.{key}": None for key in ("user", "password", "certificate")}
     for key, name in ABB_NAMES.items():
         if options[key] != name:
             draft.instead(f"{device}.{key}", name, "is the name in the simulated controller")
@@ -452,7 +452,7 @@ def _fanuc_rmi(draft: RehearsalDraft, device: str) -> None:
 
 
 def _kuka_kvp(draft: RehearsalDraft, device: str) -> None:
-    draft.laid[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
+    draft.overrides[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
 
 
 def _plc_robot(draft: RehearsalDraft, device: str) -> None:
@@ -484,17 +484,17 @@ def _plc_robot(draft: RehearsalDraft, device: str) -> None:
         if language not in ("rs274", *CONTROLLER_LANGUAGES):
             draft.instead("program.format", "rs274", f"the lines of {named} are RS274")
     elif options["profile"].endswith(".toml"):
-        draft.laid[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
+        draft.overrides[f"{device}.profile"] = str(draft.config.resolve(options["profile"]).absolute())
     host = f"127.{port // 256}.{port % 256}.1"
     address = {
         "opcua": f"opc.tcp://{LOOPBACK}:{port}",
         "ads": f"ads://{host}/{host}.1.1:851",
         "hses": f"hses://{LOOPBACK}:{port}",
     }
-    draft.laid[f"{device}.address"] = address.get(profile.link, f"tcp://{LOOPBACK}:{port}")
-    draft.laid[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
+    draft.overrides[f"{device}.address"] = address.get(profile.link, f"tcp://{LOOPBACK}:{port}")
+    draft.overrides[f"{device}.delivery"] = f"folder:{SIM_STATE}/programs"
     for key in NOT_SIMULATED:
-        draft.laid[f"{device}.{key}"] = None
+        draft.overrides[f"{device}.{key}"] = None
     if not options["delivery"].startswith("folder:"):
         draft.notes.append(f"{device}.delivery: the simulated controller reads a folder: nothing goes by FTP or SFTP")
 
@@ -515,10 +515,10 @@ def add_monitors(draft: RehearsalDraft, devices: Sequence[str]) -> None:
     """One simulated box has the signals of all monitors of the cell."""
     first, *others = devices
     add_line(draft, first)
-    address = draft.laid.get(f"{first}.address") or draft.laid[first]["address"]
+    address = draft.overrides.get(f"{first}.address") or draft.overrides[first]["address"]
     for device in others:
         if draft.device_type(device).simulated_by == draft.device_type(first).simulated_by:
-            draft.laid[f"{device}.address"] = address
+            draft.overrides[f"{device}.address"] = address
         else:
             draft.replace_device(device, address=address)
     if others:

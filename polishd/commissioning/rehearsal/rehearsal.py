@@ -26,7 +26,7 @@ from polishd.commissioning.rehearsal.draft import (
     cell_text,
     is_simulated,
     put_kind,
-    require_apart,
+    require_separate_folders,
     sim_text,
     usual_folder,
 )
@@ -137,7 +137,7 @@ def add_instrument(draft: RehearsalDraft, device: str) -> None:
         draft.notes.append("instrument.profile: the simulated artefact has no bumps like yours; it has the demo's")
         document["artefact"] = tomlkit.parse(shipped)["artefact"]
     draft.files[PROFILE] = tomlkit.dumps(document).encode()
-    draft.laid["instrument.profile"] = PROFILE
+    draft.overrides["instrument.profile"] = PROFILE
 
 
 def _add_folder(draft: RehearsalDraft, device: str) -> None:
@@ -145,7 +145,7 @@ def _add_folder(draft: RehearsalDraft, device: str) -> None:
     if not is_simulated(draft, device, folder=folder):
         return
     options = draft.options(device)
-    draft.laid[f"{device}.folder"] = folder
+    draft.overrides[f"{device}.folder"] = folder
     for key in ("claimed_dir", "refused_dir"):
         named = Path(options.get(key) or "")
         if named.is_absolute() or ".." in named.parts:
@@ -258,7 +258,7 @@ def write_rehearsal(cell: Path, out: Path | None = None, plant: Mapping[str, flo
     draft, folder = draft_rehearsal(config, hooks), (out or usual_folder(config)).absolute()
     for key, value in (plant or {}).items():
         draft.put("plant", key, value, f"as --{key} said")
-    require_apart(draft, folder)
+    require_separate_folders(draft, folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     own = f"{cell.stem}-rehearsal.toml"
     try:
@@ -324,9 +324,9 @@ def _used(draft: RehearsalDraft) -> dict[str, str]:
 
 
 def _add_folders(draft: RehearsalDraft) -> None:
-    draft.laid["cell.state_dir"] = STATE
+    draft.overrides["cell.state_dir"] = STATE
     if draft.config.run_dir is not None:
-        draft.laid["cell.run_dir"] = "run"
+        draft.overrides["cell.run_dir"] = "run"
 
 
 def _silence_notifiers(draft: RehearsalDraft) -> None:

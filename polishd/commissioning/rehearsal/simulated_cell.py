@@ -144,19 +144,19 @@ def aperture_of(surface: Path) -> float:
 
 def with_values(text: str, sections: Mapping[str, Mapping[str, Any]]) -> str:
     """The TOML text of our own template with some values changed, comments kept; KeyError where a key is not there."""
-    wanted = {(section, key): value for section, keys in sections.items() for key, value in keys.items()}
+    changes = {(section, key): value for section, keys in sections.items() for key, value in keys.items()}
     section, lines = "", []
     for line in text.splitlines():
         if header := re.match(r"\s*\[([^\]]+)\]", line):
             section = header[1]
         key = re.match(r"(?:# )?(\w+)( *)= ", line)
-        if key and (section, key[1]) in wanted:
+        if key and (section, key[1]) in changes:
             comment = re.search(r"\s+#[^\"]*$", line.removeprefix("# "))
-            lines.append(f"{key[1]}{key[2]}= {toml(wanted.pop((section, key[1])))}{comment[0] if comment else ''}")
+            lines.append(f"{key[1]}{key[2]}= {toml(changes.pop((section, key[1])))}{comment[0] if comment else ''}")
         else:
             lines.append(line)
-    if wanted:
-        raise KeyError(f"not in the template: {sorted(wanted)}")
+    if changes:
+        raise KeyError(f"not in the template: {sorted(changes)}")
     return "\n".join(lines) + "\n"
 
 

@@ -20,7 +20,7 @@ from polishd.util.files import require_private
 
 log = logging.getLogger(__name__)
 
-LOOK_S = 1.0
+POLL_S = 1.0
 """Interval between two checks of the files."""
 EXPIRY_AGAIN_S = 86400.0
 """Time until the warning is repeated."""
@@ -33,11 +33,11 @@ class Certificate:
         """ConfigError, with the key's line, where the files are no certificate with its key."""
         self._document, self._clock = document, clock
         self._cert, self._key = document.resolve(cert), document.resolve(key)
-        self._seen = self._signature()
+        self._checked = self._signature()
         self._first, self._expires_s = self._loaded()
         self._newest = self._first
         self._problem = ""
-        self._said: tuple[str, float] = ("", float("-inf"))
+        self._last_warning: tuple[str, float] = ("", float("-inf"))
 
     @classmethod
     def of(cls, document: TomlDocument, web: WebSection) -> Self | None:
@@ -59,18 +59,18 @@ class Certificate:
         Invalid files change nothing.
         """
         signature = self._signature()
-        if signature != self._seen or self._problem:  # the files may have been replaced only in part
+        if signature != self._checked or self._problem:  # the files may have been replaced only in part
             try:
                 found = self._loaded()
             except PolishdError as error:
                 self._problem = f"{error}. The server goes on with the certificate that it has"
             else:
-                if signature != self._seen:
+                if signature != self._checked:
                     log.warning("%s: a new certificate is in use, valid until %s", self._cert, utc_minute(found[1]))
                 self._newest, self._expires_s = found
                 self._problem = ""
-            self._seen = signature
-        self._say()
+            self._checked = signature
+        self._warn()
 
     def facts(self) -> dict[str, Any]:
         """Return until when it is valid, the days left, and what is wrong with it; for health."""
@@ -91,16 +91,16 @@ class Certificate:
             return f"the TLS certificate {self._cert} expires on {expires}, in {days:.1f} days. {todo}"
         return ""
 
-    def _say(self) -> None:
+    def _warn(self) -> None:
         """Log each problem once, and again each day."""
         wrong = "; ".join(filter(None, (self._problem, self._expiry())))
         kind = f"{self._problem} {self._expires_s} {self._expires_s < self._clock()}" if wrong else ""
-        said, at_s = self._said
-        if wrong and (kind != said or self._clock() - at_s >= EXPIRY_AGAIN_S):
+        last_kind, at_s = self._last_warning
+        if wrong and (kind != last_kind or self._clock() - at_s >= EXPIRY_AGAIN_S):
             log.warning("%s", wrong)
-            self._said = (kind, self._clock())
+            self._last_warning = (kind, self._clock())
         elif not wrong:
-            self._said = ("", float("-inf"))
+            self._last_warning = ("", float("-inf"))
 
     def _signature(self) -> tuple[tuple[int, int, int], ...]:
         found = []
@@ -149,19 +149,19 @@ class CertificateMonitor:
 
     def __init__(self, certificate: Certificate) -> None:
         self._certificate, self._ended = certificate, threading.Event()
-        threading.Thread(target=self._look_on, name="certificate", daemon=True).start()
+        threading.Thread(target=self._poll, name="certificate", daemon=True).start()
 
     def end(self) -> None:
         """End the thread, without waiting for it. Idempotent."""
         self._ended.set()
 
-    def _look_on(self) -> None:
+    def _poll(self) -> None:
         while not self._ended.is_set():
             try:
                 self._certificate.look()
             except Exception:  # the thread must survive any content of the files
                 log.exception("looking at the TLS certificate failed; it is looked at again")
-            self._ended.wait(LOOK_S)
+            self._ended.wait(POLL_S)
 
 
 def _no_password() -> str:

@@ -59,31 +59,31 @@ class BoundedProtocol(H11Protocol):
         The rest of a body after the answer, which no handler reads, has the time limit of a head.
         """
         super().data_received(data)
-        if self.conn.their_state is not h11.IDLE and not self._has_answered():
-            self._rest()
+        if self.conn.their_state is not h11.IDLE and not self._has_responded():
+            self._end_head_limit()
         elif self._head is None:
             self._await_head()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the time limit."""
-        self._rest()
+        self._end_head_limit()
         super().connection_lost(exc)
 
-    def _has_answered(self) -> bool:
+    def _has_responded(self) -> bool:
         cycle: RequestResponseCycle | None = self.cycle  # None before a first request, despite its type
         return cycle is None or cycle.response_complete
 
     def _await_head(self) -> None:
         self._head = self.loop.call_later(HEAD_S, self._too_slow)
 
-    def _rest(self) -> None:
+    def _end_head_limit(self) -> None:
         if self._head is not None:
             self._head.cancel()
             self._head = None
 
     def _too_slow(self) -> None:
         self._head = None
-        if not self.transport.is_closing() and self._has_answered():
+        if not self.transport.is_closing() and self._has_responded():
             self.transport.abort()
 
 
@@ -146,13 +146,13 @@ class RequestGuard:
 def _limited(receive: Receive, headers: Headers, most_bytes: int) -> Receive:
     """Return ``receive`` with limits of size and time until the body has arrived. It raises HTTPException."""
     loop = asyncio.get_running_loop()
-    began_s, size, is_whole = loop.time(), 0, False
+    began_s, size, is_complete = loop.time(), 0, False
     length = headers.get("content-length", "0")
     announced = int(length) if length.isdecimal() and len(length) < 20 else most_bytes + 1
 
     async def limited() -> Message:
-        nonlocal size, is_whole
-        if is_whole:  # what follows is the end of the connection
+        nonlocal size, is_complete
+        if is_complete:  # what follows is the end of the connection
             return await receive()
         if max(announced, size) > most_bytes:
             raise HTTPException(413, f"the body is more than {most_bytes} bytes")
@@ -164,7 +164,7 @@ def _limited(receive: Receive, headers: Headers, most_bytes: int) -> Receive:
                 408, f"of the body came {size} bytes in {loop.time() - began_s:.0f} s: too slow"
             ) from None
         size += len(message.get("body", b""))
-        is_whole = not message.get("more_body", False)
+        is_complete = not message.get("more_body", False)
         if size > most_bytes:
             raise HTTPException(413, f"the body is more than {most_bytes} bytes")
         return message
@@ -244,7 +244,7 @@ class _Server(uvicorn.Server):
                 print(f"{scheme}://{name}:{port}/", flush=True)  # noqa: T201 - the starting process waits for this line
 
 
-async def answered(work: Awaitable[Any]) -> Response:
+async def json_response(work: Awaitable[Any]) -> Response:
     """Result of a handler as JSON; a polishd error as a refusal."""
     try:
         found = await work
@@ -262,10 +262,10 @@ async def answered(work: Awaitable[Any]) -> Response:
 async def _no_such(_request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
     detail = str(getattr(error, "detail", ""))
-    words = {404: "there is nothing of that name", 408: detail, 413: detail}
-    said = refusal(status, words.get(status, "that cannot be done there"))
-    said.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 lists the allowed methods
-    return said
+    texts = {404: "there is nothing of that name", 408: detail, 413: detail}
+    response = refusal(status, texts.get(status, "that cannot be done there"))
+    response.headers.update((isinstance(error, HTTPException) and error.headers) or {})  # 405 lists the allowed methods
+    return response
 
 
 async def _disconnected(_request: Request, _error: Exception) -> Response:
@@ -294,7 +294,7 @@ WRONG, LOCKED_S = 5, 60.0
 """Wrong tokens of one user at one address, and the time of the lockout there."""
 BUDGET = 30
 """Wrong tokens of one address for any users, within ``LOCKED_S``."""
-MOST_KEPT = 10_000
+MAX_ENTRIES = 10_000
 """Most remembered addresses, and users at addresses."""
 
 
@@ -303,16 +303,16 @@ class RateLimiter:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._left: dict[str, tuple[float, float]] = {}
+        self._remaining: dict[str, tuple[float, float]] = {}
 
     def takes(self, name: str) -> bool:
         """Whether one more request is allowed."""
         now_s = self._clock()
-        left, at_s = self._left.pop(name, (BURST, now_s))
-        left = min(BURST, left + PER_S * (now_s - at_s))
-        self._left[name] = (left - 1.0 if left >= 1.0 else left, now_s)
-        _forget(self._left)
-        return left >= 1.0
+        remaining, at_s = self._remaining.pop(name, (BURST, now_s))
+        remaining = min(BURST, remaining + PER_S * (now_s - at_s))
+        self._remaining[name] = (remaining - 1.0 if remaining >= 1.0 else remaining, now_s)
+        _forget(self._remaining)
+        return remaining >= 1.0
 
 
 class LoginLockout:
@@ -345,10 +345,10 @@ class LoginLockout:
         key = address, user
         count, _ = self._wrong.pop(key, (0, 0.0))
         self._wrong[key] = (count + 1, self._clock())
-        left = self._budget(address)
+        remaining = self._budget(address)
         if count < WRONG:
             self._spent.pop(address, None)
-            self._spent[address] = (max(left - 1.0, 0.0), self._clock())
+            self._spent[address] = (max(remaining - 1.0, 0.0), self._clock())
         _forget(self._wrong)
         _forget(self._spent)
 
@@ -361,8 +361,8 @@ class LoginLockout:
         _forget(self._signed_in)
 
     def _budget(self, address: str) -> float:
-        left, at_s = self._spent.get(address, (float(BUDGET), 0.0))
-        return min(float(BUDGET), left + BUDGET / LOCKED_S * (self._clock() - at_s))
+        remaining, at_s = self._spent.get(address, (float(BUDGET), 0.0))
+        return min(float(BUDGET), remaining + BUDGET / LOCKED_S * (self._clock() - at_s))
 
 
 class ClientShares:
@@ -391,6 +391,6 @@ class ClientShares:
             self._open += Counter()  # forget names at zero
 
 
-def _forget(kept: dict[Any, tuple[float, float]]) -> None:
-    while len(kept) > MOST_KEPT:
-        del kept[next(iter(kept))]
+def _forget(entries: dict[Any, tuple[float, float]]) -> None:
+    while len(entries) > MAX_ENTRIES:
+        del entries[next(iter(entries))]

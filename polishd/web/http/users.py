@@ -57,7 +57,7 @@ class UserFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._known: tuple[tuple[int, ...], Mapping[str, Mapping[str, str]]] | None = None
+        self._cache: tuple[tuple[int, ...], Mapping[str, Mapping[str, str]]] | None = None
         """Signature and users of the file as it was last read: each message of an event stream asks for them."""
 
     def __bool__(self) -> bool:
@@ -91,25 +91,25 @@ class UserFile:
 
     def remove(self, name: str) -> None:
         """Remove a user. ConfigError where there is none."""
-        known = dict(self._read())
-        if known.pop(name, None) is None:
-            todo = f"Name one of {', '.join(known)}" if known else "There is nothing to remove: check the file"
+        users = dict(self._read())
+        if users.pop(name, None) is None:
+            todo = f"Name one of {', '.join(users)}" if users else "There is nothing to remove: check the file"
             raise ConfigError(f"{self.path}: there is no user {name!r}. {todo}")
-        self._write(known)
+        self._write(users)
 
     def _read(self) -> Mapping[str, Mapping[str, str]]:
         try:
             stat = self.path.stat()
             signature = (stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_mode, stat.st_uid)
-            if self._known is None or self._known[0] != signature:
+            if self._cache is None or self._cache[0] != signature:
                 require_private(self.path)
                 found = json.loads(self.path.read_text(encoding="utf-8"))
                 users = {
                     str(name): {"role": Role(one["role"]).value, "token_sha256": str(one["token_sha256"])}
                     for name, one in found.items()
                 }
-                self._known = signature, users
-            return self._known[1]
+                self._cache = signature, users
+            return self._cache[1]
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

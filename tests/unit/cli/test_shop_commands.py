@@ -16,7 +16,7 @@ from polishd.model.errors import ConfigError
 from polishd.shop import database as feed
 from polishd.shop import parts
 from polishd.shop.database import CellReport, Database
-from polishd.shop.server import cells_of, people_of
+from polishd.shop.server import cells_of, users_of
 
 
 class Office:
@@ -55,11 +55,11 @@ def test_tokens_are_shown_once_and_ended(office: Office) -> None:
     assert user is not None
     assert user.name == "north"
     person = office.say("serve", "--add-user", "ada", "--role", "operate").strip()
-    assert people_of(shop).of_token(person) is not None
+    assert users_of(shop).of_token(person) is not None
     assert cells_of(shop).of_token(person) is None
     office.say("serve", "--remove-cell", "north")
     office.say("serve", "--remove-user", "ada")
-    assert cells_of(shop).of_token(token) is people_of(shop).of_token(person) is None
+    assert cells_of(shop).of_token(token) is users_of(shop).of_token(person) is None
 
 
 @pytest.mark.full

@@ -59,7 +59,7 @@ def shown(*seen: CellView, now_s: float = 100.0) -> str:
 
 
 def watched(cell: Path, **known: Any) -> CellView:
-    return CellView(load_config(cell), cell, **{"live": LIVE, "heard_s": 99.9, "cycles": CYCLES, **known})
+    return CellView(load_config(cell), cell, **{"live": LIVE, "last_reply_s": 99.9, "cycles": CYCLES, **known})
 
 
 def test_it_says_what_goes_on_and_how_old_that_is(cell: Path) -> None:
@@ -89,7 +89,7 @@ def test_a_silent_daemon_is_said_over_what_was_known(cell: Path, monkeypatch: py
     def silent(*_: Any) -> dict[str, Any]:
         raise LinkError("no answer")
 
-    one = watched(cell, heard_s=60.0)
+    one = watched(cell, last_reply_s=60.0)
     monkeypatch.setattr(client, "request", silent)
     one.look()
     assert "THE DAEMON DOES NOT ANSWER: no answer; these values are 40 s old" in shown(one)

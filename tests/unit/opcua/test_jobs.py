@@ -21,7 +21,7 @@ STATES = ["Ended", "Ended", "Aborted", "Running", "AllowedToStart"]
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "LOOK_S", 0.02)
+    monkeypatch.setattr(server, "POLL_S", 0.02)
 
 
 @pytest.fixture

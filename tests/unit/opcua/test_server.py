@@ -39,7 +39,7 @@ READINGS = {
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "LOOK_S", 0.02)
+    monkeypatch.setattr(server, "POLL_S", 0.02)
     for key, value in {"readings": READINGS, "cycle": 2, "pressing": True, "job": "lens"}.items():
         monkeypatch.setitem(LIVE, key, value)
 
@@ -102,7 +102,7 @@ async def test_without_a_daemon_the_machine_is_not_available_and_nothing_else_is
 async def test_a_daemon_that_hangs_is_reported_as_unknown_while_clients_are_answered(
     tmp_path: Path, daemon: Answers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "ANSWER_S", 0.1)
+    monkeypatch.setattr(server, "REPLY_TIMEOUT_S", 0.1)
     over, real = threading.Event(), daemon.answer
 
     def hang(verb: str, args: dict[str, Any]) -> dict[str, Any]:

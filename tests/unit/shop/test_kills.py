@@ -27,7 +27,7 @@ from polishd.shop import parts
 from polishd.shop.database import DATABASE_NAME, Database
 from polishd.shop.link import ShopClient, ShopLink
 from polishd.shop.parts import digests, part_of
-from polishd.shop.server import application, cells_of, people_of
+from polishd.shop.server import application, cells_of, users_of
 from polishd.web.http.users import Role
 from tests.killed import Steps, killed_at
 from tests.unit.shop.test_link import HELD, SECTION, Desk
@@ -127,7 +127,7 @@ def test_a_shop_that_is_killed_at_each_step_has_all_it_answered_once(
 ) -> None:
     """Steps: before and after each begin and each commit; or each statement, of more requests."""
     shop = write_shop(tmp_path)
-    tokens = {"north": cells_of(shop).add("north", Role.WATCH), "ada": people_of(shop).add("ada", Role.OPERATE)}
+    tokens = {"north": cells_of(shop).add("north", Role.WATCH), "ada": users_of(shop).add("ada", Role.OPERATE)}
     clean, answered = tmp_path / "clean", tmp_path / "answered"
     with Database.open(shop.state_dir):
         pass
@@ -207,7 +207,7 @@ def test_a_link_that_is_killed_at_each_step_loses_nothing_and_has_no_part_twice(
                 patched.setattr(ShopClient, "_post", steps.around(post))
                 patched.setattr(link_module.client, "request", steps.around(desk))  # type: ignore[attr-defined]
                 patched.setattr(link_module, "write_atomic", steps.around(link_module.write_atomic))
-                patched.setattr(ShopLink, "_settled", steps.around(ShopLink._settled))
+                patched.setattr(ShopLink, "_clear_request", steps.around(ShopLink._clear_request))
                 ShopLink(config, hooks, config.shop).run(Few(4))
 
     number = looked_up = 0

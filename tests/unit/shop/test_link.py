@@ -107,7 +107,7 @@ class Desk:
 class Rig:
     def __init__(self, config: CellConfig, monkeypatch: pytest.MonkeyPatch) -> None:
         self.config, self.office, self.desk = config, Office(), Desk(config)
-        monkeypatch.setattr(ShopClient, "ask", lambda _, path, said: self.office.ask(path, said))
+        monkeypatch.setattr(ShopClient, "request", lambda _, path, body: self.office.ask(path, body))
         monkeypatch.setattr(module.client, "request", self.desk)
         monkeypatch.setattr(module, "check_jobs", lambda *_: [])
         self.link = self.again()
@@ -213,7 +213,7 @@ def test_what_was_added_just_before_a_kill_is_not_asked_for_again(rig: Rig, monk
     rig.happens(HELD)
     rig.office.parts = ["lens", "disc"]
     with monkeypatch.context() as killed:
-        killed.setattr(ShopLink, "_settled", lambda _: (_ for _ in ()).throw(RuntimeError("killed")))
+        killed.setattr(ShopLink, "_clear_request", lambda _: (_ for _ in ()).throw(RuntimeError("killed")))
         with pytest.raises(RuntimeError, match="killed"):
             rig.link.turn()
     with Queue.at_rest(rig.config.state_dir) as queue:
@@ -347,9 +347,9 @@ def test_a_token_that_is_refused_is_tried_again_after_a_while(rig: Rig, monkeypa
             raise error
         return rig.office.ask(path, said)
 
-    monkeypatch.setattr(ShopClient, "ask", ask)
+    monkeypatch.setattr(ShopClient, "request", ask)
     stop = threading.Event()
-    monkeypatch.setattr(ShopLink, "_heed", lambda *_: stop.set())
+    monkeypatch.setattr(ShopLink, "_apply_reply", lambda *_: stop.set())
     rig.happens(HELD)
     rig.desk.state = "held"
     rig.link.run(stop)
@@ -465,7 +465,7 @@ def test_a_disk_that_refuses_a_jobs_files_ends_no_link(rig: Rig, monkeypatch: py
 
 
 def test_the_files_of_a_job_are_removed_after_its_end_and_no_others(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "FILES_KEPT_S", -60.0)
+    monkeypatch.setattr(module, "RETENTION_S", -60.0)
     rig.happens(HELD)
     rig.office.parts = ["lens", "disc"]
     folder = rig.config.state_dir / "shop" / "jobs"
@@ -502,7 +502,7 @@ def test_the_files_of_a_job_are_removed_after_its_end_and_no_others(rig: Rig, mo
     assert kept() == ["disc", "lens"], "the shop does not know its end"
     open_claims("disc")
     with monkeypatch.context() as soon:
-        soon.setattr(module, "FILES_KEPT_S", 3600.0)
+        soon.setattr(module, "RETENTION_S", 3600.0)
         assert kept() == ["disc", "lens"], "its run folder may still be written"
     assert kept() == ["disc"]
 

@@ -61,7 +61,7 @@ def wire(folder: Path, port: int, scheme: str = "http", host: str = "127.0.0.1",
 
 def test_it_brings_its_token_and_reads_json(tmp_path: Path) -> None:
     with serving(200, b'{"ok": true, "upto": 3}') as (port, asked):
-        assert wire(tmp_path, port).ask("/api/cell/report", {"first": 1}) == {"ok": True, "upto": 3}
+        assert wire(tmp_path, port).request("/api/cell/report", {"first": 1}) == {"ok": True, "upto": 3}
         assert wire(tmp_path, port).fetch("/api/cell/file", {}) == b'{"ok": true, "upto": 3}'
     assert asked[0] == ("/api/cell/report", f"Bearer {TOKEN}", {"first": 1})
 
@@ -81,27 +81,27 @@ def test_a_refusal_is_distinguished_from_a_shop_that_is_away(
     tmp_path: Path, status: int, kind: type[Exception], says: str
 ) -> None:
     with serving(status, b'{"ok": false, "error": "wrong"}') as (port, asked), pytest.raises(kind, match=says):
-        wire(tmp_path, port).ask("/", {})
+        wire(tmp_path, port).request("/", {})
     assert len(asked) == 1, "nothing is repeated, and no redirection is followed"
 
 
 @pytest.mark.parametrize("body", [b"", b"<html>", b"[1]", b"\xff"])
 def test_what_is_no_answer_of_a_shop_is_no_answer(tmp_path: Path, body: bytes) -> None:
     with serving(200, body) as (port, _), pytest.raises(LinkError, match="is that a shop"):
-        wire(tmp_path, port).ask("/", {})
+        wire(tmp_path, port).request("/", {})
 
 
 def test_an_answer_without_end_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_BYTES", 10)
     with serving(200, b"x" * 100) as (port, _), pytest.raises(LinkError, match="more than 10 bytes"):
-        wire(tmp_path, port).ask("/", {})
+        wire(tmp_path, port).request("/", {})
 
 
 def test_a_shop_that_is_away_is_named_and_the_token_is_not(tmp_path: Path) -> None:
     with serving(200, b"{}") as (port, _):
         pass
     with pytest.raises(LinkError, match=rf"http://127\.0\.0\.1:{port}: ") as caught:
-        wire(tmp_path, port).ask("/", {})
+        wire(tmp_path, port).request("/", {})
     assert TOKEN not in str(caught.value)
 
 
@@ -109,7 +109,7 @@ def test_a_token_that_is_changed_counts_at_once(tmp_path: Path) -> None:
     with serving(200, b"{}") as (port, asked):
         made = wire(tmp_path, port)
         (tmp_path / "shop.token").write_text("another\n")
-        made.ask("/", {})
+        made.request("/", {})
     assert asked[0][1] == "Bearer another"
 
 
@@ -123,11 +123,11 @@ def test_by_tls_only_a_certificate_that_is_trusted_gets_the_token(tmp_path: Path
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
     with serving(200, b'{"ok": true}', context) as (port, asked):
-        assert wire(tmp_path, port, "https", ca_file="cert.pem").ask("/", {}) == {"ok": True}
+        assert wire(tmp_path, port, "https", ca_file="cert.pem").request("/", {}) == {"ok": True}
         with pytest.raises(LinkError, match="certificate verify failed"):
-            wire(tmp_path, port, "https").ask("/", {})
+            wire(tmp_path, port, "https").request("/", {})
         with pytest.raises(LinkError, match="certificate"):
-            wire(tmp_path, port, "https", host="localhost", ca_file="cert.pem").ask("/", {})
+            wire(tmp_path, port, "https", host="localhost", ca_file="cert.pem").request("/", {})
     assert len(asked) == 1
     with pytest.raises(ConfigError, match=r"none\.pem: cannot be read"):
         wire(tmp_path, 1, "https", ca_file="none.pem")
@@ -151,7 +151,7 @@ def test_a_certificate_that_is_not_believed_says_why_and_what_to_do(
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(tmp_path / "cert.pem", tmp_path / "key.pem")
     with serving(200, b"{}", context) as (port, asked), pytest.raises(LinkError, match=says) as found:
-        wire(tmp_path, port, "https", ca_file=ca_file).ask("/", {})
+        wire(tmp_path, port, "https", ca_file=ca_file).request("/", {})
     assert asked == [], "the token is not sent"
     assert "tries again; nothing was sent" in str(found.value)
     assert "\n" not in str(found.value)
@@ -168,12 +168,12 @@ def test_a_certificate_that_expires_soon_is_said_once_a_day(
     with serving(200, b"{}", context) as (port, asked):
         made = wire(tmp_path, port, "https", ca_file="ca.pem")
         for _ in range(3):
-            made.ask("/", {})
+            made.request("/", {})
         (said,) = caplog.messages
         assert "the shop's TLS certificate expires on " in said
         assert "in 5.0 days. Renew it at the shop" in said
         monkeypatch.setattr(module, "AGAIN_S", 0.0)
-        made.ask("/", {})
+        made.request("/", {})
     assert len(caplog.messages) == 2
     assert len(asked) == 4
 
@@ -187,12 +187,12 @@ def test_an_authority_that_is_replaced_is_believed_without_a_restart(tmp_path: P
     with serving(200, b"{}", context) as (port, asked):
         made = wire(tmp_path, port, "https", ca_file="ca.pem")
         with pytest.raises(LinkError, match="certificate verify failed"):
-            made.ask("/", {})
+            made.request("/", {})
         (tmp_path / "ca.pem").unlink()
         with pytest.raises(ConfigError, match=r"ca\.pem: cannot be read"):
-            made.ask("/", {})
+            made.request("/", {})
         new.write(tmp_path / "ca.pem")
-        assert made.ask("/", {}) == {}
+        assert made.request("/", {}) == {}
     assert len(asked) == 1
 
 
@@ -201,7 +201,7 @@ def test_a_token_that_is_refused_says_where_to_get_one_and_a_new_one_is_seen(tmp
         made = wire(tmp_path, port)
         assert made.has_new_token(), "none was refused"
         with pytest.raises(TokenRefused, match=r"polishd shop serve SHOP\.toml --add-cell NAME") as found:
-            made.ask("/", {})
+            made.request("/", {})
         assert str(tmp_path / "shop.token") in str(found.value)
         assert TOKEN not in str(found.value)
         assert not made.has_new_token()

@@ -17,7 +17,7 @@ from polishd.config.job_file import JobFile
 from polishd.model.errors import ConfigError
 from polishd.shop import parts, server
 from polishd.shop.database import Database
-from polishd.shop.parts import AssignmentAnswer, NewPart, digests, part_of, read_part
+from polishd.shop.parts import AssignmentReply, NewPart, digests, part_of, read_part
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def claim(shop: Database, cell: str, request: str) -> Any:
     return None if found["part"] is None else found["part"]["job"]
 
 
-def report(shop: Database, cell: str, journal: str = "J", **claims: str) -> AssignmentAnswer:
+def report(shop: Database, cell: str, journal: str = "J", **claims: str) -> AssignmentReply:
     with shop.transaction() as sql:
         return parts.report(sql, cell, journal, {key: {"state": state} for key, state in claims.items()})
 
@@ -55,7 +55,7 @@ def states(shop: Database) -> dict[str, str]:
 
 def words(shop: Database) -> list[str]:
     with shop.transaction() as sql:
-        return [one["what"] for one in server.words(sql)]
+        return [one["what"] for one in server.decisions(sql)]
 
 
 def test_a_part_that_was_added_before_release_1_0_is_given_with_the_present_key_names(shop: Database) -> None:
@@ -125,9 +125,9 @@ def test_a_part_from_its_claim_to_its_end(shop: Database) -> None:
     assert report(shop, "north", **{"1": "waiting"}).stands == ["1"]
     assert report(shop, "north", **{"1": "under way"}).stands == ["1"]
     assert states(shop) == {"a": "begun"}
-    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer()
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentReply()
     assert states(shop) == {"a": "done"}
-    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer(), "reported once more: nothing new"
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentReply(), "reported once more: nothing new"
     assert words(shop) == ["added", "claimed", "begun", "accepted"]
     with pytest.raises(ConfigError, match="'a' is done"):
         release(shop, "a")
@@ -171,9 +171,9 @@ def test_a_released_part_stays_with_its_cell_until_that_has_given_it_back(shop: 
     report(shop, "north", **{"1": "waiting"})
     assert "keeps it until it has" in release(shop, "a")
     assert claim(shop, "south", "2") is None
-    assert report(shop, "north", **{"1": "waiting"}) == AssignmentAnswer(back=["1"])
+    assert report(shop, "north", **{"1": "waiting"}) == AssignmentReply(back=["1"])
     assert claim(shop, "south", "2") is None
-    assert report(shop, "north", **{"1": "removed"}) == AssignmentAnswer()
+    assert report(shop, "north", **{"1": "removed"}) == AssignmentReply()
     assert claim(shop, "north", "3") is None, "it was wanted for another one"
     assert claim(shop, "south", "2") == "a"
 
@@ -183,10 +183,10 @@ def test_what_begins_before_the_release_reaches_its_cell_goes_on(shop: Database)
     claim(shop, "north", "1")
     report(shop, "north", **{"1": "waiting"})
     release(shop, "a")
-    assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(stands=["1"])
+    assert report(shop, "north", **{"1": "under way"}) == AssignmentReply(stands=["1"])
     with pytest.raises(ConfigError, match="north has begun it"):
         release(shop, "a")
-    assert report(shop, "north", **{"1": "accepted"}) == AssignmentAnswer()
+    assert report(shop, "north", **{"1": "accepted"}) == AssignmentReply()
     assert states(shop) == {"a": "done"}
 
 
@@ -198,7 +198,7 @@ def test_a_claim_that_never_reached_its_cell_is_given_back_by_asking_or_by_not_k
     release(shop, "b")
     with shop.transaction() as sql:
         assert parts.claim(sql, "north", "1") == {"part": None, "over": True}
-    assert report(shop, "south", **{"2": "unknown"}) == AssignmentAnswer()
+    assert report(shop, "south", **{"2": "unknown"}) == AssignmentReply()
     assert states(shop) == {"a": "waiting", "b": "waiting"}
 
 
@@ -219,10 +219,10 @@ def test_a_cell_that_is_gone_learns_that_it_has_lost_its_part(shop: Database) ->
     report(shop, "north", **{"1": "under way"})
     assert "must not begin it any more" in release(shop, "a", gone=True)
     assert claim(shop, "south", "2") == "a"
-    assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
-    assert report(shop, "north", **{"1": "under way"}) == AssignmentAnswer(lost=["1"])
+    assert report(shop, "north", **{"1": "under way"}) == AssignmentReply(lost=["1"])
+    assert report(shop, "north", **{"1": "under way"}) == AssignmentReply(lost=["1"])
     assert words(shop)[2:] == ["begun", "cell is gone", "gone", "claimed", "came back, and had begun it"]
-    assert report(shop, "south", **{"2": "waiting"}) == AssignmentAnswer(stands=["2"])
+    assert report(shop, "south", **{"2": "waiting"}) == AssignmentReply(stands=["2"])
 
 
 def test_what_was_put_aside_waits_for_a_person(shop: Database) -> None:
@@ -246,7 +246,7 @@ def test_what_was_put_aside_waits_for_a_person(shop: Database) -> None:
 def test_a_cell_hears_nothing_of_claims_that_are_not_its_own(shop: Database) -> None:
     add(shop, "a")
     claim(shop, "north", "1")
-    assert report(shop, "south", **{"1": "waiting"}) == AssignmentAnswer(lost=["1"])
+    assert report(shop, "south", **{"1": "waiting"}) == AssignmentReply(lost=["1"])
     assert states(shop) == {"a": "claimed"}
 
 

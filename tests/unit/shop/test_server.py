@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from polishd.config.server_sections import ShopFile, load_shop
 from polishd.model.errors import ConfigError
 from polishd.shop.database import Database
-from polishd.shop.server import application, cells_of, people_of, serve
+from polishd.shop.server import application, cells_of, serve, users_of
 from polishd.web.http.server import BUDGET, WRONG
 from polishd.web.http.users import Role
 from tests.unit.said import Polishd
@@ -40,8 +40,8 @@ class Asked:
         self.tokens = {
             "north": cells_of(shop).add("north", Role.WATCH),
             "south": cells_of(shop).add("south", Role.WATCH),
-            "ada": people_of(shop).add("ada", Role.OPERATE),
-            "bob": people_of(shop).add("bob", Role.WATCH),
+            "ada": users_of(shop).add("ada", Role.OPERATE),
+            "bob": users_of(shop).add("bob", Role.WATCH),
             "": "",
             "wrong": "x" * 43,
         }

@@ -145,10 +145,10 @@ async def test_a_hold_that_is_under_way_is_joined_by_its_user_and_by_no_other(
     monkeypatch.setattr(api, "OBEYED_S", 0.01)
     ours = api.CommandForwarder(tmp_path)
     for by in ("anna (web)", "ben (web)", "anna (web)"):
-        assert await ours.give("hold", {"by": by}, joined=True) is None
+        assert await ours.send("hold", {"by": by}, joined=True) is None
     answer.set()
     monkeypatch.setattr(api, "OBEYED_S", SOON_S)
-    assert await ours.give("stop", {"by": "anna (web)"}) == {"ok": True}
+    assert await ours.send("stop", {"by": "anna (web)"}) == {"ok": True}
     assert asked == [("hold", "anna (web)"), ("hold", "ben (web)"), ("stop", "anna (web)")]
 
 
@@ -168,12 +168,12 @@ async def test_an_order_that_fails_on_its_way_ends_and_the_next_one_is_sent(
     monkeypatch.setattr(api, "OBEYED_S", SOON_S)
     ours, by = api.CommandForwarder(tmp_path), {"by": "anna (web)"}
     with pytest.raises(LinkError, match=r"hold: .*too many open files.*Send it again"):
-        await ours.give("hold", by, joined=True)
+        await ours.send("hold", by, joined=True)
     with monkeypatch.context() as full:
         full.setattr(api.threading.Thread, "start", lambda _: (_ for _ in ()).throw(RuntimeError("can't start")))
         with pytest.raises(LinkError, match="can't start"):
-            await ours.give("hold", by, joined=True)
-    assert await ours.give("hold", by, joined=True) == {"ok": True}
+            await ours.send("hold", by, joined=True)
+    assert await ours.send("hold", by, joined=True) == {"ok": True}
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ async def test_an_event_stream_ends_with_the_access_of_its_user(tmp_path: Path, 
     stream = await ours.events(request, session)
     async with asyncio.timeout(SOON_S):
         assert "event: state" in await anext(stream.body_iterator)
-        ours.watcher._happened({"name": "measured", "data": {}})
+        ours.watcher._on_event({"name": "measured", "data": {}})
         assert "event: happened" in await anext(stream.body_iterator)
         if change == "removed":
             users.remove("anna")
@@ -219,7 +219,7 @@ async def test_an_event_stream_ends_with_the_access_of_its_user(tmp_path: Path, 
         else:
             sessions.end(request)
         assert sessions.of(request) is None
-        ours.watcher._happened({"name": "measured", "data": {}})
+        ours.watcher._on_event({"name": "measured", "data": {}})
         with pytest.raises(StopAsyncIteration):
             await anext(stream.body_iterator)
     assert ours.watcher.pages == 0

@@ -157,13 +157,13 @@ def test_the_librarys_parser_reads_it_and_the_journal_is_counted(metered: Served
 
 def test_one_look_serves_all_for_a_second(metered: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[str] = []
-    real = Metrics._look
+    real = Metrics._render
 
     def look(self: Metrics, state: Any) -> bytes:
         looks.append(state["daemon"])
         return real(self, state)
 
-    monkeypatch.setattr(Metrics, "_look", look)
+    monkeypatch.setattr(Metrics, "_render", look)
     monkeypatch.setattr("polishd.web.metrics.FRESH_S", 3600.0)
     for _ in range(20):
         assert metered.ask("GET", "/metrics", Role.WATCH).status_code == 200

@@ -47,7 +47,7 @@ async def test_a_daemon_that_comes_and_goes_is_reported_with_ages(tmp_path: Path
 
 
 async def test_a_daemon_that_does_not_answer_is_silent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ANSWER_S", 0.05)
+    monkeypatch.setattr(module, "REPLY_TIMEOUT_S", 0.05)
     with socket.socket(socket.AF_UNIX) as hangs:  # also once no more questions fit
         hangs.bind(str(tmp_path / "polishd.sock"))
         hangs.listen(1)
@@ -67,7 +67,7 @@ async def test_events_reach_every_page_and_one_that_does_not_read_is_let_go(
     with watcher.page() as slow, watcher.page() as quick:
         await anext(quick)
         for number in range(3):
-            watcher._happened({"name": "measured", "cycle": number, "data": {"pv_nm": float("nan")}})
+            watcher._on_event({"name": "measured", "cycle": number, "data": {"pv_nm": float("nan")}})
             assert '"pv_nm": null' in await anext(quick)
         assert watcher.pages == 1
         assert len([message async for message in slow]) == 3
@@ -103,7 +103,7 @@ async def test_a_malformed_line_is_ignored_and_the_next_event_arrives(
 async def test_whatever_goes_wrong_while_it_asks_or_listens_it_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(module, "LOOK_S", 0.01)
+    monkeypatch.setattr(module, "POLL_S", 0.01)
     request, subscribe = client.request, client.subscribe
 
     def fails(*_: object) -> Any:

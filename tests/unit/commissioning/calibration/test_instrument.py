@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from polishd.commissioning.calibration import instrument
-from polishd.commissioning.calibration.instrument import wanted_poses
+from polishd.commissioning.calibration.instrument import needed_poses
 from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.config.instrument_profile import load_profile
 from polishd.model.errors import ConfigError
@@ -144,7 +144,7 @@ def test_without_angles_it_says_which_poses_are_wanted(polishd: Polishd, cell: P
 
 
 def test_the_poses_tell_all_but_power() -> None:
-    poses, needs = wanted_poses(50.0, 0.1, 0.5)
+    poses, needs = needed_poses(50.0, 0.1, 0.5)
     assert any(pose.x_mm or pose.y_mm for pose in poses), "a shift determines symmetric terms"
     assert any(pose.angle_deg for pose in poses)
     assert set(needs) == {"power"}
@@ -157,11 +157,11 @@ def test_a_person_is_asked_for_each_pose_and_its_map_is_taken(
     heights = maps(turns(4))
     asked: list[float] = []
 
-    async def taken(_config: object, _hooks: object, poses: list[PartPose]) -> list[SurfaceMap]:
+    async def measured(_config: object, _hooks: object, poses: list[PartPose]) -> list[SurfaceMap]:
         asked.extend(pose.angle_deg for pose in poses)
         return [SurfaceMap(height, PITCH_MM, sha256=str(k) * 64) for k, height in enumerate(heights)]
 
-    monkeypatch.setattr(instrument, "taken", taken)
+    monkeypatch.setattr(instrument, "measure_poses", measured)
     assert polishd("calibrate", "instrument", cell, *QUARTERS).code == 0
     assert asked == [0.0, 90.0, 180.0, 270.0]
     assert system(cell) is not None
@@ -181,7 +181,7 @@ def test_maps_are_taken_from_the_cells_own_folder(cell: Path) -> None:
         now = DatMap(heights[number - 1], PITCH_MM, part="DEMO-100", taken_s=int(time.time()) + 1)
         (folder / f"m{number}.dat").write_bytes(pack(now))  # measured after it was asked for: an older one is stale
 
-    found = asyncio.run(instrument.taken(config, hooks, turns(2), ask))
+    found = asyncio.run(instrument.measure_poses(config, hooks, turns(2), ask))
     assert said == [(0.0, 1, 2), (180.0, 2, 2)]
     for surface, height in zip(found, heights, strict=True):
         assert np.allclose(surface.height_nm, height, atol=0.05, equal_nan=True)

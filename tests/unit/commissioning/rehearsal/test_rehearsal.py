@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from polishd.cli.app import app
 from polishd.commissioning.rehearsal import rehearsal
-from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_apart, sim_text
+from polishd.commissioning.rehearsal.draft import RehearsalDraft, cell_text, require_separate_folders, sim_text
 from polishd.commissioning.rehearsal.rehearsal import draft_rehearsal, write_rehearsal
 from polishd.config.cell import load_config
 from polishd.config.controller_profile import CONTROLLER_PROFILE_DIR
@@ -380,14 +380,14 @@ def test_a_rehearsal_is_never_written_where_the_real_cell_writes(tmp_path: Path)
     draft = made(tmp_path, text.replace("# accept_without_part_id = false", f'claimed_dir = "{tmp_path}/archive" #'))
     for folder in ("state", "state/sub", "link", "runs", "runs/today/x", "incoming", "archive", "incoming/quarantine"):
         with pytest.raises(ConfigError, match=r"of the real cell .* name another folder with --out"):
-            require_apart(draft, tmp_path / folder)
+            require_separate_folders(draft, tmp_path / folder)
     with pytest.raises(ConfigError, match="is, holds or lies in the state folder"):
-        require_apart(draft, tmp_path)
+        require_separate_folders(draft, tmp_path)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "old").touch()
     with pytest.raises(ConfigError, match=r"full: is there already; start that rehearsal with polishd sim .*sim\.toml"):
-        require_apart(draft, tmp_path / "full")
-    require_apart(draft, tmp_path / "apart")
+        require_separate_folders(draft, tmp_path / "full")
+    require_separate_folders(draft, tmp_path / "apart")
     assert not (tmp_path / "apart").exists()
 
 
