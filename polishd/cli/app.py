@@ -11,7 +11,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, NoReturn, cast
 
 import typer
 from typer import Argument, Option
@@ -22,12 +22,13 @@ from polishd.cli.calibrate import app as calibrations
 from polishd.cli.command_group import CommandGroup
 from polishd.cli.device import app as devices
 from polishd.cli.groups import Reason, certificates, estimates, jobs, opcua, recordings, services
+from polishd.cli.json_error import print_json_error
 from polishd.cli.map import app as maps
 from polishd.cli.program import app as programs
 from polishd.cli.shop import app as shops
 from polishd.cli.study import app as studies
 from polishd.model.errors import ComputeError, PolishdError
-from polishd.rendering.terminal import escape_logs, say
+from polishd.rendering.terminal import escape_logs, json_output, say
 from polishd.util.command_line import Cell, Json, Picture
 
 # The panels of the help, with their commands in order.
@@ -466,8 +467,9 @@ def _order(cell: Path, verb: str, reason: str, *, as_json: bool) -> None:
 
 
 def main() -> None:
-    """Run the command line; print each known error as one message, and exit with its code."""
+    """Run the command line; print each known error as a message, with --json also as JSON, and exit with its code."""
     escape_logs()
+    json_output.is_printed = False
     if os.environ.get("NO_COLOR"):
         from typer import rich_utils  # this import is slow
 
@@ -476,24 +478,27 @@ def main() -> None:
         _plugin_commands()
         _commands(_given_command())()
     except PolishdError as error:
-        say(f"polishd: {_with_cell(str(error))}", err=True)
-        sys.exit(error.exit_code)
+        _fail(error, _with_cell(str(error)), error.exit_code)
     except MemoryError as error:
         what = str(error) or "the computation"
-        say(
-            f"polishd: not enough memory: {what}. Check sizes and pitches in the files "
-            "(part, process.grid_mm, plant.pitch_mm), or end other programs",
-            err=True,
+        message = (
+            f"not enough memory: {what}. Check sizes and pitches in the files "
+            "(part, process.grid_mm, plant.pitch_mm), or end other programs"
         )
-        sys.exit(ComputeError.exit_code)
+        _fail(error, message, ComputeError.exit_code)
     except OSError as error:
         full = error.errno == errno.ENOSPC
         name = error.filename or (_full_output() if full else None)
         if name is None:
             raise
         advice = "make room" if full else "check the path, its permissions and its disk"
-        say(f"polishd: {name}: {error.strerror}; {advice}", err=True)
-        sys.exit(1)
+        _fail(error, f"{name}: {error.strerror}; {advice}", 1)
+
+
+def _fail(error: Exception, message: str, exit_code: int) -> NoReturn:
+    say(f"polishd: {message}", err=True)
+    print_json_error(error, message, exit_code)
+    sys.exit(exit_code)
 
 
 @functools.cache

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from polishd.cli.json_error import refusal_of
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.queue.queue import Queue
 from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.socket import client
-from polishd.model.errors import NoDaemon, PolishdError
+from polishd.model.errors import NoDaemon
 from polishd.plugin_loader import load_cell
 from polishd.rendering.terminal import emit, record_table, utc_minute
 from polishd.util.command_line import terminal_user
@@ -57,9 +58,7 @@ def _request(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, An
         with Queue.at_rest(config.state_dir) as queue:
             return run_loop(_handle_at_rest(QueueRequests(config, queue), verb, arguments))
     if not reply["ok"]:
-        refusal = PolishdError(reply["error"])
-        refusal.exit_code = reply.get("exit_code", refusal.exit_code)
-        raise refusal
+        raise refusal_of(reply)
     return reply
 
 

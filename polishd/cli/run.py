@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from polishd.cli.json_error import error_facts, print_json_error
 from polishd.cli.status import end_rows, print_end
 from polishd.config.cell import CellConfig
 from polishd.daemon.app import CellRun, run_cells
@@ -170,7 +171,7 @@ def run_verb(
     codes = [_code(found) for found in ended]
     if summaries and len(cells) == 1:
         emit(summaries[""], as_json=as_json, table=lambda: _table(summaries[""]))
-    elif summaries:
+    elif len(cells) > 1 and (summaries or as_json):
         combined = {"exit_code": worst_exit_code(codes), "cells": {name: _facts(found) for (name, _), found in named}}
         emit(combined, as_json=as_json, table=lambda: Group(*map(_table, summaries.values())))
     for (name, cell), found in named:
@@ -215,7 +216,9 @@ def _code(found: Ended) -> int:
 
 
 def _facts(found: Ended) -> Mapping[str, Any]:
-    return {"error": str(found), "exit_code": _code(found)} if isinstance(found, Exception) else found
+    if isinstance(found, Exception):
+        return {"error": error_facts(found, str(found), _code(found)), "exit_code": _code(found)}
+    return found
 
 
 def _print_cell_end(found: Ended, cell: Path, prefix: str) -> None:
@@ -232,5 +235,7 @@ def _print_cell_end(found: Ended, cell: Path, prefix: str) -> None:
 
 
 def _opened_nothing(error: PolishdError, prefix: str, cell: Path) -> int:
-    say(f"polishd: {prefix}{for_cell(str(error), cell)}\n{prefix}This run opened nothing and moved nothing", err=True)
+    message = for_cell(str(error), cell)
+    say(f"polishd: {prefix}{message}\n{prefix}This run opened nothing and moved nothing", err=True)
+    print_json_error(error, message, error.exit_code)
     return error.exit_code

@@ -15,6 +15,7 @@ from typing import Any
 
 import typer
 
+from polishd.cli.json_error import error_facts, refusal_of
 from polishd.daemon.runtime.exit_record import EndCause, for_cell, last_ending
 from polishd.daemon.socket import client
 from polishd.model.errors import ConfigError, NoDaemon
@@ -93,7 +94,8 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
     try:
         answer = client.request(place.state_dir, "status")
     except NoDaemon as absent:
-        last = {"ok": False, "error": str(absent), **last_ending(place.state_dir)}
+        ending = last_ending(place.state_dir)
+        last = {"ok": False, "error": error_facts(absent, str(absent), absent.exit_code), **ending}
         if as_json:
             say(json.dumps(last))
         else:
@@ -171,7 +173,6 @@ def approve_verb(cell: Path, *, as_json: bool) -> None:
 
 def _print_answer(place: CellSummary, verb: str, answer: Mapping[str, Any], cell: Path, as_json: bool) -> None:
     if not answer["ok"]:
-        say(json.dumps(answer) if as_json else f"polishd: {answer['error']}", err=not as_json)
-        raise typer.Exit(answer.get("exit_code", 1))
+        raise refusal_of(answer)
     rows = [(key, for_cell(str(value), cell)) for key, value in answer.items() if value]
     emit(answer, as_json=as_json, table=lambda: key_table(f"{place.name}: {verb}", rows))

@@ -214,6 +214,15 @@ def _figure(value: object, digits: int) -> str:
     return "" if value is None else f"{float(str(value)):.{digits}f}"
 
 
+class _JsonOutput:
+    """State of the command's JSON object on stdout; there is one at most."""
+
+    is_printed = False
+
+
+json_output = _JsonOutput()
+
+
 def emit(
     answer: Mapping[str, Any],
     *,
@@ -223,6 +232,7 @@ def emit(
 ) -> None:
     """Print JSON on stdout, or a table and lines below it."""
     if as_json:
+        json_output.is_printed = True
         say(json_line(answer))
         return
     if table is not None:
