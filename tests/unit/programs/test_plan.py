@@ -217,6 +217,22 @@ def test_a_veto(desk: Desk) -> None:
     assert desk.events == []
 
 
+def test_a_refused_map_of_another_unit_leads_to_its_unit_first(desk: Desk) -> None:
+    """A map in um that was read as mm takes decades: a larger limits.max_pass_s is not the cure."""
+    desk.recipe = replace(desk.recipe, envelope=replace(desk.recipe.envelope, max_pass_s=3600.0))
+    desk.surface = replace(desk.surface, height_nm=1e5 * desk.surface.height_nm)
+    found = r"scan.map: RMS [\d.e+]+ nm, PV [\d.e+]+ nm in the clear aperture, but one pass may remove \d+ nm .*"
+    desk.refused(
+        PlanRefused, found + r"Check the unit and the sign .* takes at least \d+ s, more than limits.max_pass_s"
+    )
+
+
+def test_a_refused_map_of_plausible_heights_is_not_doubted(desk: Desk) -> None:
+    desk.recipe = replace(desk.recipe, envelope=replace(desk.recipe.envelope, max_pass_s=15.0))
+    desk.surface = small_map(rms_nm=200.0)
+    desk.refused(PlanRefused, r"^(?!.*Check the unit).* more than limits.max_pass_s")
+
+
 def test_a_disk_that_fills_while_it_writes(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
