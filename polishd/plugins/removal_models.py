@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from polishd.api import (
     ComputeError,
@@ -45,7 +46,7 @@ from polishd.process.removal.convolution import are_on_nodes
 from polishd.process.removal.dynamic_tif import CorrectedSpot, lean_azimuth_rad, tif_at_point
 from polishd.process.removal.path_tif import SpotPath, levelled_axes
 from polishd.process.removal.ripple import ActingSpots
-from polishd.process.removal.tif import HertzSpot, Spot, hertz_spot, measured_spot
+from polishd.process.removal.tif import HertzSpot, MeasuredSpot, Spot, WiderSpot, hertz_spot, measured_spot
 from polishd.process.removal.tif_family import blocks_of
 from polishd.process.removal.transfer_function import spot_transfer_function
 from polishd.process.robot.compliance import depth_ratio, path_compliance
@@ -126,6 +127,7 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
     path = path_of(request, spot, reference)
     spots = replace(path.spots, factor=path.spots.factor * request.rate)
     effect, how = _effect(path.along, request.grid, spots)
+    shown = _acting(request)[0].spot(spot_of_ripple(spot))
     return RemovalAnswer(
         effect=effect,
         compliance_um_per_n=path.compliance_um_per_n,
@@ -133,15 +135,71 @@ def effect_along_path(request: RemovalRequest, spot: Spot, reference: float) -> 
         divide_by=spots.divide_by,
         notes=(*path.notes, *how),
         transfer=spot_transfer_function(spot, float(path.gamma.mean())) if path.gamma.size else None,
-        acting=_acting_spots(path.along, spots),
+        acting=_acting_spots(shown, path.along, spots),
     )
 
 
-def _acting_spots(along: SpotPath, spots: CorrectedSpot) -> ActingSpots:
+RESOLVED = 8.0
+"""Samples of a measured spot to the radius of its core, from which they show what lines leave: four to a line distance
+or more (0.57 of the contact's radius in the paper's process)."""
+RIPPLE_SQUARES = 128
+"""Squares across a measured spot, at least: their width must not show beside a patch's cells."""
+
+
+@dataclass(frozen=True, slots=True)
+class EqualVolume:
+    """A Hertz contact that is as wide as a measured spot and removes as much, at each depth ratio."""
+
+    measured: MeasuredSpot
+    modelled: Spot
+
+    def half_width_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.modelled.half_width_mm(depth_ratio)
+
+    def step_mm(self, depth_ratio: FloatArray) -> FloatArray:
+        """(n,) mm."""
+        return self.modelled.step_mm(depth_ratio)
+
+    def offset_mm(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, 2) mm, of the measured one."""
+        return self.measured.offset_mm(depth_ratio, azimuth_rad)
+
+    def patch(self, depth_ratio: FloatArray, azimuth_rad: FloatArray) -> FloatArray:
+        """(n, squares, squares) nm mm^2/s."""
+        patch = self.modelled.patch(depth_ratio, azimuth_rad)
+        volume = self.measured.patch(depth_ratio, azimuth_rad).sum(axis=(1, 2))
+        return np.asarray(patch * (volume / patch.sum(axis=(1, 2)))[:, None, None], dtype=np.float64)
+
+
+def spot_of_ripple(spot: Spot) -> Spot:
+    """Return the spot for the forecast of what lines leave.
+
+    A measured spot is squares of its map's samples. Their steps have a spectrum of their own: samples of 0.5 mm left
+    4.4 nm of ripple at 0.46 mm that the spot does not leave (a modelled one: 0.1 nm). Where the samples are fine, the
+    spot is drawn smoothly through them; where they are not, they cannot show ripple, and a Hertz contact of the same
+    core and volume stands for it.
+    """
+    if not isinstance(spot, MeasuredSpot):
+        return spot
+    if spot.core_mm >= RESOLVED * spot.tif.pitch_mm:
+        times = int(np.ceil(RIPPLE_SQUARES / len(spot.squares)))
+        fine = scipy.ndimage.zoom(spot.squares, times, order=3, mode="grid-constant", grid_mode=True)
+        fine = np.clip(fine, 0.0, None)
+        return replace(spot, squares=fine * (spot.squares.sum() / fine.sum()))
+    hertz = HertzSpot(spot.process, RIPPLE_SQUARES)
+    there = np.array([spot.tif.depth_ratio])
+    rate = hertz.patch(there, np.zeros(1))[0]
+    side = 2 * float(hertz.half_width_mm(there)[0]) / RIPPLE_SQUARES
+    core = side * float(np.sqrt(np.count_nonzero(rate > rate.max() / 2) / np.pi))
+    return EqualVolume(spot, WiderSpot(hertz, spot.core_mm / core))
+
+
+def _acting_spots(spot: Spot, along: SpotPath, spots: CorrectedSpot) -> ActingSpots:
     factor = spots.factor if spots.divide_by is None else spots.factor * spots.divide_by
     curved = along.curved
     bent = None if curved is None else np.column_stack([curved.wider, curved.askew])
-    return ActingSpots(along.spot, blocks_of(along.program, spots.depth_ratio, factor, bent))
+    return ActingSpots(spot, blocks_of(along.program, spots.depth_ratio, factor, bent))
 
 
 def _acting(request: RemovalRequest) -> tuple[ParameterAction, float]:

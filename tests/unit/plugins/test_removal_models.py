@@ -28,7 +28,11 @@ from polishd.api import (
 from polishd.model.process import Optic
 from polishd.plugins import removal_models
 from polishd.process.removal import contact
+from polishd.process.removal.ripple import ActingSpots, Ripple
+from polishd.process.removal.ripple_forecast import ripple_of
 from polishd.process.removal.spread_effect import SpreadEffect
+from polishd.process.removal.tif import HertzSpot, Spot
+from polishd.process.removal.tif_family import PathBlocks
 from polishd.process.toolpath.apertures import on_optic, tool_axes
 
 DIP = np.radians(15.0)
@@ -179,6 +183,35 @@ def test_the_measured_spot_acts_as_the_model_that_it_was_made_with(correction: C
         np.testing.assert_allclose(measured.divide_by, over, rtol=1e-12)
     else:
         assert measured.divide_by is None
+
+
+def lines_of(spot: Spot) -> Ripple:
+    """Forecast of a raster of lines 0.93 mm apart, one second to a millimetre, with a gamma of 0.87."""
+    y, x = np.mgrid[-12:12.4:0.93, -12:12:1.0]
+    start = np.column_stack([x.ravel(), y.ravel()])
+    blocks = PathBlocks(start, start + [1.0, 0.0], np.zeros(x.size), np.full(x.size, 0.87), np.ones(x.size))
+    grid = Grid(41, 41, 0.5)
+    clear = np.hypot(*np.meshgrid(grid.x_mm, grid.y_mm)) < 8.0
+    return ripple_of(ActingSpots(spot, blocks), np.ones(x.size), grid, clear, patches=4)
+
+
+@pytest.mark.parametrize(("pitch_mm", "within"), [(0.05, 0.1), (0.1, 0.15), (0.5, 0.25)])
+def test_lines_of_a_measured_spot_leave_what_those_of_the_spot_leave(pitch_mm: float, within: float) -> None:
+    """Fine samples show it; coarse ones do not, and a modelled spot of that width stands for them."""
+    exact = lines_of(HertzSpot(ToolProcess(), 128))
+    measured = removal_models.measured_spot(spot(pitch_mm), ToolProcess())
+    found = lines_of(removal_models.spot_of_ripple(measured))
+    assert found.rms_nm == pytest.approx(exact.rms_nm, rel=within)
+    if pitch_mm == 0.5:
+        assert lines_of(measured).rms_nm > 2 * exact.rms_nm  # the steps of its squares
+
+
+def test_the_spot_that_stands_for_a_coarse_one_removes_as_much_where_that_does() -> None:
+    measured = removal_models.measured_spot(spot(0.5), ToolProcess(spot_offset_mm=(0.3, -0.2)))
+    stands, gamma, azimuth = removal_models.spot_of_ripple(measured), np.array([0.8, 0.87, 1.0]), np.arange(3.0)
+    volumes = [one.patch(gamma, azimuth).sum(axis=(1, 2)) for one in (measured, stands)]
+    np.testing.assert_allclose(*volumes)
+    np.testing.assert_allclose(stands.offset_mm(gamma, azimuth), measured.offset_mm(gamma, azimuth))
 
 
 def test_the_learned_rate_scales_the_measured_spot_too() -> None:
