@@ -189,7 +189,7 @@ def lines_of(spot: Spot) -> Ripple:
     """Forecast of a raster of lines 0.93 mm apart, one second to a millimetre, with a gamma of 0.87."""
     y, x = np.mgrid[-12:12.4:0.93, -12:12:1.0]
     start = np.column_stack([x.ravel(), y.ravel()])
-    blocks = PathBlocks(start, start + [1.0, 0.0], np.zeros(x.size), np.full(x.size, 0.87), np.ones(x.size))
+    blocks = PathBlocks(start, start + np.array([1.0, 0.0]), np.zeros(x.size), np.full(x.size, 0.87), np.ones(x.size))
     grid = Grid(41, 41, 0.5)
     clear = np.hypot(*np.meshgrid(grid.x_mm, grid.y_mm)) < 8.0
     return ripple_of(ActingSpots(spot, blocks), np.ones(x.size), grid, clear, patches=4)
