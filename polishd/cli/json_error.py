@@ -17,8 +17,8 @@ _LOCATION = re.compile(r"^(?P<file>[^\n:]+):(?P<line>\d+): (?:(?P<key>[A-Za-z_]\
 
 
 def error_facts(error: Exception, message: str, exit_code: int) -> dict[str, Any]:
-    """Return code, message and exit code of an error; file, line and key where its message begins with them."""
-    facts: dict[str, Any] = {"code": type(error).__name__, "message": message, "exit_code": exit_code}
+    """Return message, name and exit code of an error; file, line and key where its message begins with them."""
+    facts = {"ok": False, "error": message, "code": type(error).__name__, "exit_code": exit_code}
     if isinstance(error, _OF_FILES) and (found := _LOCATION.search(message)) is not None:
         facts |= {"file": found["file"], "line": int(found["line"])}
         facts |= {"key": found["key"]} if found["key"] and isinstance(error, ConfigError) else {}
@@ -28,7 +28,7 @@ def error_facts(error: Exception, message: str, exit_code: int) -> dict[str, Any
 def print_json_error(error: Exception, message: str, exit_code: int) -> None:
     """Print the error on stdout if ``--json`` was given, unless the command's own JSON object was printed before."""
     if "--json" in sys.argv[1:] and not terminal.json_output.is_printed:
-        terminal.emit({"error": error_facts(error, message, exit_code)}, as_json=True)
+        terminal.emit(error_facts(error, message, exit_code), as_json=True)
 
 
 def refusal_of(reply: Mapping[str, Any]) -> PolishdError:

@@ -216,9 +216,7 @@ def _code(found: Ended) -> int:
 
 
 def _facts(found: Ended) -> Mapping[str, Any]:
-    if isinstance(found, Exception):
-        return {"error": error_facts(found, str(found), _code(found)), "exit_code": _code(found)}
-    return found
+    return error_facts(found, str(found), _code(found)) if isinstance(found, Exception) else found
 
 
 def _print_cell_end(found: Ended, cell: Path, prefix: str) -> None:

@@ -94,8 +94,7 @@ def status_verb(cell: Path, *, as_json: bool) -> None:
     try:
         answer = client.request(place.state_dir, "status")
     except NoDaemon as absent:
-        ending = last_ending(place.state_dir)
-        last = {"ok": False, "error": error_facts(absent, str(absent), absent.exit_code), **ending}
+        last = {**error_facts(absent, str(absent), absent.exit_code), **last_ending(place.state_dir)}
         if as_json:
             say(json.dumps(last))
         else:

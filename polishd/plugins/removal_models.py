@@ -178,7 +178,7 @@ def spot_of_ripple(spot: Spot) -> Spot:
     A measured spot is squares of its map's samples. Their steps have a spectrum of their own: samples of 0.5 mm left
     4.4 nm of ripple at 0.46 mm that the spot does not leave (a modelled one: 0.1 nm). Where the samples are fine, the
     spot is drawn smoothly through them; where they are not, they cannot show ripple, and a Hertz contact of the same
-    core and volume stands for it.
+    core and volume takes its place.
     """
     if not isinstance(spot, MeasuredSpot):
         return spot

@@ -23,6 +23,13 @@ class Said:
         assert self.code == 0, self.err
         return json.loads(self.out)
 
+    @property
+    def failure(self) -> int:
+        """Return the exit code of a failed call with --json, whose JSON on stdout says the same."""
+        facts = json.loads(self.out)
+        assert (facts["ok"], facts["exit_code"], f"polishd: {facts['error']}\n") == (False, self.code, self.err)
+        return self.code
+
 
 def unwrapped(table: str) -> str:
     """Return the words of a printed table without its borders: where a cell breaks depends on its figures."""

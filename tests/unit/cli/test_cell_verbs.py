@@ -273,8 +273,8 @@ def test_status_where_no_daemon_runs_tells_how_the_last_one_ended(
     killed = state in ("held", "polishing")
     assert (said.code, shown["ok"], shown["state"]) == (5, False, "killed" if killed else state)
     assert (shown["tool_off"], shown["run_dir"], shown["causes"]) == (tool, "runs/demo", [cause])
-    assert (shown["error"]["code"], shown["error"]["exit_code"]) == ("NoDaemon", 5)
-    assert "no daemon is running" in shown["error"]["message"]
+    assert (shown["ok"], shown["code"], shown["exit_code"]) == (False, "NoDaemon", 5)
+    assert "no daemon is running" in shown["error"]
     assert "why" in shown["reason"]
     assert ("was killed" in shown["reason"]) == killed
     people = polishd("status", files.cell)
@@ -327,8 +327,8 @@ def test_an_order_that_is_refused_says_why_and_ends_so(
     people = polishd("resume", files.cell)
     assert (people.code, people.out, people.err) == (5, "", "polishd: resume is refused: spindle: deaf\n")
     programs = polishd("resume", files.cell, "--json")
-    error = {"code": "PolishdError", "message": answer["error"], "exit_code": 5}
-    assert (programs.code, json.loads(programs.out), programs.err) == (5, {"error": error}, people.err)
+    error = {"ok": False, "error": answer["error"], "code": "PolishdError", "exit_code": 5}
+    assert (programs.code, json.loads(programs.out), programs.err) == (5, error, people.err)
 
 
 def test_status(polishd: Polishd, files: DemoFiles, monkeypatch: pytest.MonkeyPatch) -> None:

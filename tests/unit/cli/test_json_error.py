@@ -20,10 +20,10 @@ def test_an_error_is_printed_as_text_and_as_json(polishd: Polishd, tmp_path: Pat
     people = polishd("check", file)
     programs = polishd("check", file, "--json")
     assert (people.code, people.out, programs.code, programs.err) == (3, "", 3, people.err)
-    error = json.loads(programs.out)["error"]
-    assert programs.err == f"polishd: {error['message']}\n"
+    error = json.loads(programs.out)
+    assert programs.err == f"polishd: {error['error']}\n"
     assert (error["code"], error["exit_code"], error["file"]) == ("ConfigError", 3, str(file))
-    assert f"{file}:{error['line']}: {error['key']}: " in error["message"]
+    assert f"{file}:{error['line']}: {error['key']}: " in error["error"]
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_an_error_is_printed_as_text_and_as_json(polishd: Polishd, tmp_path: Pat
 def test_the_location_is_that_of_the_message(error: PolishdError, located: dict[str, object]) -> None:
     facts = error_facts(error, str(error), error.exit_code)
     assert facts == {
-        "code": type(error).__name__, "message": str(error), "exit_code": error.exit_code, **located,
+        "ok": False, "error": str(error), "code": type(error).__name__, "exit_code": error.exit_code, **located,
     }  # fmt: skip
 
 
@@ -61,7 +61,7 @@ def test_an_error_after_the_json_of_a_command_prints_no_second_object(
         said = polishd("plugins", "--json")
         assert (said.code, json.loads(said.out), said.err) == (5, {"plugins": []}, "polishd: one failed\n")
     monkeypatch.setattr(cell, "plugins_verb", lambda *_, **__: (_ for _ in ()).throw(DeviceFault("all failed")))
-    assert json.loads(polishd("plugins", "--json").out)["error"]["message"] == "all failed"
+    assert json.loads(polishd("plugins", "--json").out)["error"] == "all failed"
 
 
 @pytest.mark.parametrize(
@@ -80,6 +80,6 @@ def test_errors_of_the_computer_have_the_same_form(
 
     monkeypatch.setattr(cell, "plugins_verb", fails)
     said = polishd("plugins", "--json")
-    shown = json.loads(said.out)["error"]
+    shown = json.loads(said.out)
     assert (said.code, shown["code"], shown["exit_code"]) == (exit_code, code, exit_code)
-    assert said.err == f"polishd: {shown['message']}\n"
+    assert said.err == f"polishd: {shown['error']}\n"

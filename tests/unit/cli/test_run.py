@@ -93,8 +93,8 @@ def test_each_error_has_its_code(
 
     monkeypatch.setattr(running, "run_cells", run_cells)
     said = polishd("run", files.cell, "--json")
-    error = {"code": name, "message": "what, where, and what to do", "exit_code": code}
-    assert (said.code, json.loads(said.out)) == (code, {"error": error})
+    error = {"ok": False, "error": "what, where, and what to do", "code": name, "exit_code": code}
+    assert (said.code, json.loads(said.out)) == (code, error)
     assert said.err.splitlines()[-2:] == [
         "polishd: what, where, and what to do",
         "This run opened nothing and moved nothing",
@@ -130,8 +130,8 @@ def test_each_cell_is_named_and_the_worst_code_counts(
     answer = json.loads(said.out)
     assert (said.code, answer["exit_code"]) == (7, 7), "a safety stop is worse than a computation"
     assert answer["cells"]["bench-cell"]["outcome"] == "failed"
-    error = {"code": "ComputeError", "message": "slow", "exit_code": 10}
-    assert answer["cells"]["other-cell"] == {"error": error, "exit_code": 10}
+    error = {"ok": False, "error": "slow", "code": "ComputeError", "exit_code": 10}
+    assert answer["cells"]["other-cell"] == error
     lines = said.err.splitlines()
     assert {"bench-cell: SafetyStop: force", "other-cell: SafetyStop: force"} <= set(lines)
     last = lines[lines.index("polishd: bench-cell: why") :]

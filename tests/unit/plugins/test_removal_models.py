@@ -197,7 +197,7 @@ def lines_of(spot: Spot) -> Ripple:
 
 @pytest.mark.parametrize(("pitch_mm", "within"), [(0.05, 0.1), (0.1, 0.15), (0.5, 0.25)])
 def test_lines_of_a_measured_spot_leave_what_those_of_the_spot_leave(pitch_mm: float, within: float) -> None:
-    """Fine samples show it; coarse ones do not, and a modelled spot of that width stands for them."""
+    """Fine samples show it; coarse ones do not, and a modelled spot of that width takes their place."""
     exact = lines_of(HertzSpot(ToolProcess(), 128))
     measured = removal_models.measured_spot(spot(pitch_mm), ToolProcess())
     found = lines_of(removal_models.spot_of_ripple(measured))
