@@ -147,7 +147,13 @@ def test_the_lines_of_a_raster_are_those_of_a_direct_sum(lines: Lines) -> None:
             assert known >= 0.9 * total
 
 
-@pytest.mark.parametrize("lines", [Lines(4.0), Lines(4.5, rests=True, step_mm=1.5)], ids=["moving", "resting"])
+@pytest.mark.parametrize(
+    "lines",
+    [
+        pytest.param(Lines(4.0), id="moving"),
+        pytest.param(Lines(4.5, rests=True, step_mm=1.5), id="resting", marks=pytest.mark.full),
+    ],
+)
 def test_lines_farther_apart_than_a_spot_is_wide_have_coarser_cells_and_the_same_ripple(
     lines: Lines, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,7 @@ def test_a_program_is_read_and_written_back_to_the_byte(name: str, way: str) -> 
     assert rewrite(profile(name), program, program.time_s) == text
 
 
+@pytest.mark.one_of_each
 @pytest.mark.parametrize("piece", [b" ", b"0", b"a", b"a ", b"(", b",", b"a:=", b"="])
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_a_line_beyond_the_limit_is_refused_before_templates_are_tried(name: str, piece: bytes) -> None:
