@@ -3,9 +3,7 @@
 A stall is the time from one look of the loop at what is ready to its next, less what the machine kept from this
 process: time that its threads could run and another process did (``/proc/self/task/*/schedstat``), and time that its
 host did not run a virtual machine (``steal`` in ``/proc/stat``). So a busy machine makes no stalls, but waiting for a
-lock, for the disk, or for Python's own lock does. What another process takes of caches and memory's bandwidth, no
-kernel reports: one turn in dozens of runs on a busy machine took 51 or 63 ms. A stall of the daemon comes again with
-each commit and each answer, so one turn of all may be longer than the limit, and none as long as a commit.
+lock, for the disk, or for Python's own lock does.
 """
 
 from __future__ import annotations
@@ -88,7 +86,8 @@ class Watch:
 
     def __init__(self) -> None:
         self.on = False
-        self.turns_s: list[float] = []
+        self.turns = 0
+        self.longest_s = 0.0
         self._turn: tuple[float, float] | None = None
         selector: Any = asyncio.get_running_loop()._selector  # type: ignore[attr-defined]
         self._select = selector.select
@@ -98,7 +97,8 @@ class Watch:
         ended = time.monotonic()
         if self._turn is not None:
             kept, began = self._turn
-            self.turns_s.append(ended - began - (kept_s() - kept))
+            self.longest_s = max(self.longest_s, ended - began - (kept_s() - kept))
+            self.turns += 1
         found = self._select(timeout)
         self._turn = (kept_s(), time.monotonic()) if self.on else None  # in this order: asking is no part of the turn
         return found
@@ -250,7 +250,5 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
     assert len(in_contact) >= 10
     assert [round(entry["executed_s"]) for entry in in_contact[-1]["cycles"][:EARLIER_PASSES]] == [10_000] * 4
     assert disk.commits >= 5, "the disk was slow while the tool pressed"
-    assert len(actuator.watch.turns_s) > 100
-    *_, second_s, longest_s = sorted(actuator.watch.turns_s)
-    assert second_s < STALL_S
-    assert longest_s < FSYNC_S / 2
+    assert actuator.watch.turns > 100
+    assert actuator.watch.longest_s < STALL_S
