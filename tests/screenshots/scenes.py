@@ -48,7 +48,7 @@ SCENES = {
 
 DASHBOARD = (
     "document.querySelectorAll('#journal li').length > 3 && document.querySelectorAll('.u-wrap').length > 1"
-    " && document.getElementById('map-said').textContent.includes('nm')"
+    " && document.getElementById('map-summary').textContent.includes('nm')"
 )
 
 

@@ -56,7 +56,7 @@ def test_all_of_the_dashboard_is_on_one_screen(opened: Open, scene: str) -> None
 def test_a_phone_shows_state_time_left_force_hold_and_stop_first(opened: Open) -> None:
     with opened("polishing", 390, 844) as (page, _):
         orders_top = float(page.run("document.querySelector('.orders').getBoundingClientRect().top"))
-        seen = [bottom(page, part) for part in ("#state", "#tile-left", "#tile-force", "#does", "#done-said")]
+        seen = [bottom(page, part) for part in ("#state", "#tile-left", "#tile-force", "#does", "#done-text")]
         assert seen == sorted(seen)
         assert seen[-1] < orders_top < bottom(page, ".orders") <= 844
         assert page.run("document.documentElement.scrollWidth <= 390")
@@ -117,7 +117,7 @@ def test_an_alarm_sounds_until_it_is_silenced_and_the_sound_can_be_tested_and_sw
         page.press("settings-button")
         page.run("document.getElementById('sound-test').focus()")
         page.key("Enter")  # a click by a script is no gesture, which a browser wants before it plays
-        page.until("document.getElementById('sound-said').textContent.startsWith('Three tones')")
+        page.until("document.getElementById('sound-message').textContent.startsWith('Three tones')")
         page.press("sound-button")
         assert page.run("localStorage.getItem('polishd.sound')") == "off"
 
@@ -176,4 +176,4 @@ def test_no_view_fails_where_the_server_is_not_reached(opened: Open) -> None:
             page.run(f"location.hash = '{view}'")
             page.until(f"document.querySelector('#view > .view-{view}')")
         page.press("hold")
-        page.until("document.getElementById('said').textContent.includes('No connection')")
+        page.until("document.getElementById('message').textContent.includes('No connection')")

@@ -92,7 +92,7 @@ def test_a_cycle_is_watched_held_gone_on_with_and_a_dead_daemon_is_seen(tmp_path
                 page.until(FRESH)
                 page.until("document.getElementById('lost').hidden")
                 page.until("document.querySelectorAll('#convergence .u-wrap').length > 0")
-                page.until("document.getElementById('map-said').textContent.includes('nm')")
+                page.until("document.getElementById('map-summary').textContent.includes('nm')")
                 page.press("hold")
                 page.until(STATE.format("held"))
                 page.until("document.getElementById('journal').textContent.includes('Hold by anna (web)')")

@@ -127,7 +127,7 @@ def test_the_button_approves_only_the_plan_whose_figures_are_shown(tmp_path: Pat
         page.press("approve-run")
         page.until("document.getElementById('confirm').open")
         page.run("document.getElementById('confirm-yes').click()")
-        page.until("document.getElementById('said').textContent.includes('obeyed')")
+        page.until("document.getElementById('message').textContent.includes('obeyed')")
         assert shown.orders("approve") == [{"program_sha256": shown.program, "by": "anna (web)"}]
 
 

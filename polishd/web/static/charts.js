@@ -14,9 +14,9 @@ const FONT = "11px Inter, system-ui, sans-serif";
  *   lines: [{ y, text, color }] across the chart, marks: [{ x, text, color }] from top to bottom.
  */
 export function chart(id, options) {
-  const said = made("output", "", "chart-said"), plot = box("div", "chart-plot"), title = made("h2", options.title);
+  const readout = made("output", "", "chart-readout"), plot = box("div", "chart-plot"), title = made("h2", options.title);
   title.id = `${id}-h`;
-  const root = box("section", "card chart", box("div", "chart-head", title, said), plot);
+  const root = box("section", "card chart", box("div", "chart-head", title, readout), plot);
   root.id = id;
   root.setAttribute("aria-labelledby", title.id);
   plot.setAttribute("role", "img");
@@ -94,10 +94,10 @@ export function chart(id, options) {
   }
   function read(u) {
     const k = u.cursor.idx;
-    if (k === null || k === undefined || !data) { put(said, ""); return; }
+    if (k === null || k === undefined || !data) { put(readout, ""); return; }
     const texts = options.series.map((one, n) => [one, data[n + 1]?.[k]]).filter(([one, value]) => !one.quiet && value !== null && value !== undefined)
       .map(([one, value]) => `${one.label} ${figure(value, one.digits ?? 3)}${one.unit ? `\u00a0${one.unit}` : ""}`);
-    put(said, [options.at ? options.at(data[0][k]) : "", ...texts].filter(Boolean).join("  "));
+    put(readout, [options.at ? options.at(data[0][k]) : "", ...texts].filter(Boolean).join("  "));
   }
   const size = new ResizeObserver(() => drawn?.setSize({ width: Math.max(plot.clientWidth, 60), height: Math.max(plot.clientHeight, 60) }));
   size.observe(plot);

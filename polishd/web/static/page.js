@@ -9,8 +9,8 @@ import { sound } from "./sound.js";
 import { texts } from "./strings.js";
 
 const VIEWS = ["dashboard", "maps", "cell", "queue", "history", "host"], PANELS = ["approve"]; // panels have no tab
-const LOST_MS = 1200, SAID_MS = 15_000;
-const known = { session: null, state: null, heard: 0, cell: "", jobs: [], cycles: [], alarms: [], journal: [], heardAlarm: null };
+const LOST_MS = 1200, MESSAGE_MS = 15_000;
+const known = { session: null, state: null, stateMs: 0, cell: "", jobs: [], cycles: [], alarms: [], journal: [], lastAlarm: null };
 let stream = null;
 
 for (const one of document.querySelectorAll("[data-text]")) one.textContent = texts[one.dataset.text];
@@ -34,7 +34,7 @@ const ctx = {
   session: () => known.session, // { name, role, csrf }
   state: () => known.state, // the last state: { daemon, age_s, live, ending? }
   link, // "up", "silent", "none" or "page" (no connection to the page's server)
-  heardMs: () => known.heard, // performance.now() of the last state
+  stateMs: () => known.stateMs, // performance.now() of the last state
   cell: () => known.cell, // name of the cell
   job: () => known.jobs.at(-1)?.number ?? null, // number of the last job
   jobs: () => known.jobs, // rows of /api/jobs
@@ -76,12 +76,12 @@ function signedIn(session) {
 $("sign-in").addEventListener("submit", async (event) => {
   event.preventDefault();
   sound.unlock();
-  const said = await ask("POST", "/api/session", { token: $("token").value });
+  const answer = await ask("POST", "/api/session", { token: $("token").value });
   $("token").value = "";
-  put("sign-in-said", said.status === 200 ? "" : said.status === 0 ? said.error : said.status === 429 ? texts.locked : texts.wrongToken);
-  if (said.status === 200) signedIn(said);
+  put("sign-in-message", answer.status === 200 ? "" : answer.status === 0 ? answer.error : answer.status === 429 ? texts.locked : texts.wrongToken);
+  if (answer.status === 200) signedIn(answer);
 });
-$("sign-out").addEventListener("click", async () => { $("settings").hidePopover(); const said = await ask("DELETE", "/api/session"); if (said.status) signedOut(); else say(said.error); });
+$("sign-out").addEventListener("click", async () => { $("settings").hidePopover(); const answer = await ask("DELETE", "/api/session"); if (answer.status) signedOut(); else say(answer.error); });
 
 // the view
 let view = null, viewName = "", entering = 0;
@@ -141,9 +141,9 @@ addEventListener("polishd-theme", () => route(true)); // canvases take their col
 function watch() {
   stream?.close();
   stream = new EventSource("/api/events");
-  known.heard = performance.now();
+  known.stateMs = performance.now();
   stream.addEventListener("state", (event) => {
-    known.heard = performance.now();
+    known.stateMs = performance.now();
     known.state = JSON.parse(event.data);
     show();
     view?.update?.(known.state);
@@ -152,7 +152,7 @@ function watch() {
     if (JSON.parse(event.data).name !== "pass_progressed") refresh();
   });
   stream.addEventListener("error", () => {
-    known.heard = -Infinity;
+    known.stateMs = -Infinity;
     show();
     got("/api/state"); // signs out where the session has ended
   });
@@ -162,7 +162,7 @@ function watch() {
 addEventListener("pagehide", () => stream?.close());
 addEventListener("pageshow", (event) => { if (event.persisted && known.session) watch(); });
 function link() {
-  if (performance.now() - known.heard > LOST_MS) return "page";
+  if (performance.now() - known.stateMs > LOST_MS) return "page";
   return known.state ? known.state.daemon : "page";
 }
 function mayOperate() { return Boolean(known.session) && known.session.role !== "watch"; }
@@ -194,7 +194,7 @@ function lastOrder() { return known.journal.find((one) => one.name === "command_
 // what is shown on every view
 function show() {
   const how = link(), live = known.state?.live, up = how === "up";
-  const passedS = Math.max(0, (performance.now() - known.heard) / 1000);
+  const passedS = Math.max(0, (performance.now() - known.stateMs) / 1000);
   const age = known.state?.age_s ?? null;
   document.body.classList.toggle("stale", !up);
   $("lost").hidden = up;
@@ -237,8 +237,8 @@ function showAlarms() {
 }
 function soundNew() {
   const newest = known.alarms.reduce((most, one) => Math.max(most, one.number), 0);
-  const fresh = known.heardAlarm === null ? known.alarms : known.alarms.filter((one) => one.number > known.heardAlarm);
-  known.heardAlarm = Math.max(known.heardAlarm ?? 0, newest);
+  const fresh = known.lastAlarm === null ? known.alarms : known.alarms.filter((one) => one.number > known.lastAlarm);
+  known.lastAlarm = Math.max(known.lastAlarm ?? 0, newest);
   if (fresh.length) sound.start(fresh.some((one) => one.severity === "alarm") ? "alarm" : "warning");
   else if (!known.alarms.length && link() === "up") sound.silence();
 }
@@ -249,11 +249,11 @@ function soundLost(how) {
 }
 
 // orders
-let saidTimer = null;
+let messageTimer = null;
 function say(text) {
-  put("said", text);
-  clearTimeout(saidTimer);
-  saidTimer = setTimeout(() => put("said", ""), SAID_MS);
+  put("message", text);
+  clearTimeout(messageTimer);
+  messageTimer = setTimeout(() => put("message", ""), MESSAGE_MS);
 }
 async function order(name, path, body) {
   say(`${name}: ${texts.sent}`);
@@ -312,7 +312,7 @@ function choices(id, options, chosen, choose) {
 }
 choices("theme", texts.themes, () => window.polishdTheme.choice, (value) => { window.polishdTheme.choice = value; });
 const drawSound = choices("sound", texts.sounds, () => (sound.on ? "on" : "off"), (value) => { sound.on = value === "on"; soundIcon(); });
-$("sound-test").addEventListener("click", async () => put("sound-said", (await sound.test()) ? texts.soundPlayed : texts.soundBlocked));
+$("sound-test").addEventListener("click", async () => put("sound-message", (await sound.test()) ? texts.soundPlayed : texts.soundBlocked));
 function soundIcon() {
   $("sound-icon").setAttribute("href", sound.on ? "#i-sound" : "#i-quiet");
   put("sound-name", sound.on ? texts.soundOn : texts.soundOff);

@@ -221,7 +221,7 @@ export const texts = {
   // host
   host: {
     title: "Computer of the cell", figure: "Figure", value: "Now", limit: "Limit", state: "State", fine: "in order", atLeast: (value) => `at least ${value}`, atMost: (value) => `at most ${value}`,
-    none: "The daemon reports its computer once it runs.", devices: "Devices", device: "Device", heard: "Last answer", noDevices: "No device has answered yet.", signals: "Signals", signal: "Signal", noSignals: "The cell has no [signals].",
+    none: "The daemon reports its computer once it runs.", devices: "Devices", device: "Device", lastAnswer: "Last answer", noDevices: "No device has answered yet.", signals: "Signals", signal: "Signal", noSignals: "The cell has no [signals].",
     page: "This page", daemon: "Daemon", states: { up: "answers", silent: "does not answer", none: "does not run" }, link: "Last state from the daemon", user: "Signed in as", certificate: "TLS certificate", noCertificate: "none: this server is reachable on its own computer only",
     expires: (days, at) => `valid for ${days} days, until ${at}`, version: "Version", roles: { watch: "watch: see everything, hold and stop", operate: "operate: also resume, approve, acknowledge and change the queue", engineer: "engineer: also read the configuration" },
     names: {

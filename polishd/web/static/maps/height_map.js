@@ -175,9 +175,9 @@ export function drawHeightMap(canvas, data, options = {}) {
 function painted(canvas, map, how) {
   const { view, plot, dpr, scale } = how;
   const key = JSON.stringify([how.colors, scale, how.smooth, view, plot, dpr]);
-  const kept = PAINTED.get(canvas);
-  if (kept?.map === map && kept.key === key) return kept.picture;
-  const picture = kept?.picture ?? document.createElement("canvas");
+  const cached = PAINTED.get(canvas);
+  if (cached?.map === map && cached.key === key) return cached.picture;
+  const picture = cached?.picture ?? document.createElement("canvas");
   const w = Math.max(1, Math.round(plot.w * dpr)), h = Math.max(1, Math.round(plot.h * dpr));
   picture.width = w;
   picture.height = h;

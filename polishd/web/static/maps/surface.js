@@ -102,20 +102,20 @@ export class Surface {
     g.fillStyle = ink.muted;
     g.lineWidth = 1;
     const line = (a, b) => { g.beginPath(); g.moveTo(...project(a).slice(0, 2)); g.lineTo(...project(b).slice(0, 2)); g.stroke(); };
-    const text = (said, [x, y], from) => {
+    const write = (label, [x, y], from) => {
       const d = Math.hypot(x - from[0], y - from[1]) || 1, dx = (x - from[0]) / d, dy = (y - from[1]) / d;
       g.textAlign = dx > 0.4 ? "left" : dx < -0.4 ? "right" : "center";
       g.textBaseline = dy > 0.4 ? "top" : dy < -0.4 ? "bottom" : "middle";
-      g.fillText(said, x + dx * 8, y + dy * 8);
+      g.fillText(label, x + dx * 8, y + dy * 8);
     };
     const axis = (from, to, scale, name, at) => {
       const { values, digits } = ticks(...scale, 5), names = [];
       line(from, to);
       for (const value of values) names.push([figure(value, digits), project(at(value))]);
       const [a, b] = [project(from), project(to)], [x, y] = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
-      for (const [said, place] of names) text(said, place, middle);
+      for (const [label, place] of names) write(label, place, middle);
       const d = Math.hypot(x - middle[0], y - middle[1]) || 1;
-      text(name, [x + ((x - middle[0]) / d) * 26, y + ((y - middle[1]) / d) * 22], middle);
+      write(name, [x + ((x - middle[0]) / d) * 26, y + ((y - middle[1]) / d) * 22], middle);
     };
     const unit = (k) => (mm) => (mm - box.middle[k]) / box.size, ends = (k) => [-1, 1].map((sign) => box.middle[k] + sign * box.half[k] * box.size);
     axis([-hx, sy * hy, bottom], [hx, sy * hy, bottom], ends(0), "x, mm", (x) => [unit(0)(x), sy * hy, bottom]);
@@ -125,10 +125,10 @@ export class Surface {
       const { values, digits } = ticks(box.low, box.high, Math.min(5, (project([...left, rise(box.low)])[1] - project([...left, rise(box.high)])[1]) / 24));
       line([...left, bottom], [...left, rise(box.high)]);
       const top = project([...left, rise(box.high)]);
-      if (map.unit) text(map.unit, [top[0], top[1] - 4], [top[0], top[1] + 9]);
+      if (map.unit) write(map.unit, [top[0], top[1] - 4], [top[0], top[1] + 9]);
       for (const value of values) {
         const at = project([...left, rise(value)]);
-        text(figure(value, digits), at, [at[0] + 9, at[1]]);
+        write(figure(value, digits), at, [at[0] + 9, at[1]]);
       }
     }
     colorBar(g, { x: width - 74, y: 12, w: 16, h: height - 44 }, map, this.colors, this.scale, ink);

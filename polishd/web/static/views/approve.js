@@ -107,12 +107,12 @@ export function mount(root, ctx) {
     const rows = [...byKey].map(([key, found]) => {
       const low = found.find((one) => one.least), high = found.find((one) => !one.least);
       const both = low && high, one = high ?? low;
-      const said = both ? t.range(figure(low.value), withUnit(high.value, high.unit), figure(low.limit), withUnit(high.limit, high.unit)) : `${show(one.value, one.unit)}, ${one.least ? "≥" : "≤"} ${show(one.limit, one.unit)}`;
+      const text = both ? t.range(figure(low.value), withUnit(high.value, high.unit), figure(low.limit), withUnit(high.limit, high.unit)) : `${show(one.value, one.unit)}, ${one.least ? "≥" : "≤"} ${show(one.limit, one.unit)}`;
       const share = both ? Math.max((high.value - mid(low, high)) / (high.limit - mid(low, high)), (low.value - mid(low, high)) / (low.limit - mid(low, high))) : one.least ? one.limit / one.value : one.value / one.limit;
       const meter = made("meter");
       Object.assign(meter, { min: 0, max: 1, high: 0.9, optimum: 0, value: Math.min(1, Math.max(0, share || 0)) });
       meter.setAttribute("aria-label", `${names[key] ?? key}: ${percent(share)}`);
-      return box("div", "limit", made("span", names[key] ?? key), made("span", said, "note"), meter);
+      return box("div", "limit", made("span", names[key] ?? key), made("span", text, "note"), meter);
     });
     return card("approve-limits", t.limits, ...rows, ...(plan.figures.points_at_least_time ? [made("p", t.slowest(plan.figures.points_at_least_time), "note")] : []));
   }

@@ -10,12 +10,12 @@ const OLD_S = 2.0, WINDOW_S = 600, READ_MS = 5000, MOST_EVENTS = 40, MOST_SAMPLE
 
 export function mount(root, ctx) {
   const t = ctx.texts.dashboard;
-  let overview = null, readMs = -Infinity, heardMs = 0, reading = false, gone = false, map = null, psd = null, plan = null, shownGuide = "", shownAlarms = "";
+  let overview = null, readMs = -Infinity, overviewMs = 0, reading = false, gone = false, map = null, psd = null, plan = null, shownGuide = "", shownAlarms = "";
   const samples = [[], [], [], []]; // Unix time, force, set point, speed
 
   // how it stands
-  const does = made("p"), why = made("p"), next = made("p", "", "note"), done = made("progress"), doneSaid = made("p"), facts = box("dl", "of");
-  Object.assign(does, { id: "does" }); Object.assign(why, { id: "why" }); Object.assign(next, { id: "next" }); Object.assign(doneSaid, { id: "done-said" });
+  const does = made("p"), why = made("p"), next = made("p", "", "note"), done = made("progress"), doneText = made("p"), facts = box("dl", "of");
+  Object.assign(does, { id: "does" }); Object.assign(why, { id: "why" }); Object.assign(next, { id: "next" }); Object.assign(doneText, { id: "done-text" });
   Object.assign(done, { id: "done", max: 1, value: 0, hidden: true });
   done.setAttribute("aria-label", t.progressOf);
   const tiles = Object.fromEntries(["left", "force", "speed", "rms"].map((key) => [key, tile(t.tiles[key], key)]));
@@ -24,7 +24,7 @@ export function mount(root, ctx) {
   const actions = box("div", "now-actions", resume, approve);
   const guideAt = box("div", "");
   guideAt.style.display = "contents";
-  const now = card("now", t.now, guideAt, box("div", "now-words", does, why, next, facts, done, doneSaid), box("dl", "tiles", ...Object.values(tiles).map((one) => one.root)), actions);
+  const now = card("now", t.now, guideAt, box("div", "now-words", does, why, next, facts, done, doneText), box("dl", "tiles", ...Object.values(tiles).map((one) => one.root)), actions);
 
   // beside
   const alarms = box("ol", "scroll"), journal = box("ol", "scroll"), latest = box("dl", "latest");
@@ -35,14 +35,14 @@ export function mount(root, ctx) {
   const aside = box("div", "aside", card("alarms-card", t.alarms, alarms, acknowledge), card("journal-card", t.journal, latest, journal));
 
   // pictures
-  const canvas = made("canvas"), kind = made("select"), mapSaid = made("p"), mapHead = made("h2", t.map), openMap = box("a", "", canvas);
-  canvas.id = "map"; kind.id = "kind"; mapSaid.id = "map-said"; openMap.id = "map-open"; openMap.href = "#maps"; mapHead.id = "map-card-h";
+  const canvas = made("canvas"), kind = made("select"), mapSummary = made("p"), mapHead = made("h2", t.map), openMap = box("a", "", canvas);
+  canvas.id = "map"; kind.id = "kind"; mapSummary.id = "map-summary"; openMap.id = "map-open"; openMap.href = "#maps"; mapHead.id = "map-card-h";
   openMap.setAttribute("aria-label", t.openMaps);
   canvas.setAttribute("role", "img");
   kind.setAttribute("aria-label", t.kind);
   for (const [value, text] of Object.entries(t.kinds)) { const one = made("option", text); one.value = value; kind.append(one); }
   kind.addEventListener("change", () => readMap());
-  const mapCard = box("section", "card", box("div", "map-head", mapHead, kind), openMap, mapSaid);
+  const mapCard = box("section", "card", box("div", "map-head", mapHead, kind), openMap, mapSummary);
   mapCard.id = "map-card";
   mapCard.setAttribute("aria-labelledby", mapHead.id);
   const resized = new ResizeObserver(() => drawMap());
@@ -80,7 +80,7 @@ export function mount(root, ctx) {
     progress: chart("progress-chart", {
       title: t.charts.progress, empty: t.noPass, x: { label: t.axes.minutes, range: (low, high) => [0, Math.max(high, 0.1) * 1.02] }, y: { label: t.axes.blocks, range: (low, high) => [0, Math.max(high, 1) * 1.05] },
       series: [{ label: t.planned, color: "--s4", dash: [6, 4], span: true, digits: 4 }, { label: t.executed, color: "--s1", width: 2.5, span: true, digits: 4 }],
-      at: (value) => `${value.toFixed(1)} min`, summary: () => doneSaid.textContent,
+      at: (value) => `${value.toFixed(1)} min`, summary: () => doneText.textContent,
     }),
   };
   root.append(now, aside, mapCard, ...Object.values(charts).map((one) => one.root));
@@ -106,7 +106,7 @@ export function mount(root, ctx) {
     readMs = performance.now();
     try {
       const found = await ctx.got("/api/overview");
-      if (found && !gone) { overview = found; heardMs = performance.now(); showLimits(); }
+      if (found && !gone) { overview = found; overviewMs = performance.now(); showLimits(); }
     } finally { reading = false; }
   }
   async function readSamples() {
@@ -114,18 +114,18 @@ export function mount(root, ctx) {
     if (!found || gone) return;
     const from = Date.now() / 1000 - WINDOW_S;
     const rows = found.rows.filter((row) => row[0] > from && (samples[0].length === 0 || row[0] < samples[0][0]));
-    samples.forEach((kept, k) => kept.unshift(...rows.map((row) => row[k])));
+    samples.forEach((column, k) => column.unshift(...rows.map((row) => row[k])));
   }
   async function readMap() {
     const job = ctx.job(), cycles = ctx.cycles(), last = cycles.at(-1), planned = cycles.filter((one) => one.run).at(-1);
     if (job === null || !last) { map = null; drawMap(); return; }
     const wanted = kind.value, cycle = wanted === "before" ? cycles[0].cycle : wanted === "measured" ? last.cycle : planned?.cycle;
-    if (cycle === undefined) { map = null; put(mapSaid, t.noPlan); drawMap(); return; }
+    if (cycle === undefined) { map = null; put(mapSummary, t.noPlan); drawMap(); return; }
     map = await ctx.got(`/api/jobs/${job}/cycles/${cycle}/map/${wanted === "before" ? "measured" : wanted}?px=256&encoding=float32`);
     plan = planned ? await ctx.got(`/api/jobs/${job}/cycles/${planned.cycle}/plan`) : null;
     if (gone) return;
     const rms = wanted === "before" ? cycles[0].measured.rms_nm : wanted === "measured" ? last.measured.rms_nm : wanted === "predicted" ? planned?.run.predicted_rms_nm : null;
-    put(mapSaid, map ? [rms ? `RMS ${figure(rms)} nm` : "", t.range(figure(map.low), figure(map.high))].filter(Boolean).join(", ") : t.noMap);
+    put(mapSummary, map ? [rms ? `RMS ${figure(rms)} nm` : "", t.range(figure(map.low), figure(map.high))].filter(Boolean).join(", ") : t.noMap);
     drawMap();
   }
   async function readPsd() {
@@ -147,7 +147,7 @@ export function mount(root, ctx) {
       const k = plan.block.findIndex((one) => one >= block);
       if (k >= 0) tool = [plan.x_mm[k], plan.y_mm[k]];
     }
-    drawHeightMap(canvas, map, { tool, path: plan && ["predicted", "removal"].includes(kind.value) ? plan : undefined, label: `${t.kinds[kind.value]}: ${mapSaid.textContent}` });
+    drawHeightMap(canvas, map, { tool, path: plan && ["predicted", "removal"].includes(kind.value) ? plan : undefined, label: `${t.kinds[kind.value]}: ${mapSummary.textContent}` });
   }
   function showPsd() {
     if (!psd) { charts.psd.set(null); return; }
@@ -222,15 +222,15 @@ export function mount(root, ctx) {
   function showDone(live, pass) {
     const block = live.readings?.robot?.executed, total = pass?.blocks;
     done.hidden = !(total && block !== undefined && block !== null);
-    if (done.hidden) { put(doneSaid, ""); return; }
+    if (done.hidden) { put(doneText, ""); return; }
     done.value = Math.min(1, block / total);
     const late = pass.behind_s, lag = late === null || late === undefined || Math.abs(late) < 1 ? "" : late > 0 ? t.behind(duration(late)) : t.ahead(duration(-late));
-    put(doneSaid, [t.blockOf(Math.min(block, total), total, percent(done.value)), lag].filter(Boolean).join(", "));
+    put(doneText, [t.blockOf(Math.min(block, total), total, percent(done.value)), lag].filter(Boolean).join(", "));
   }
   function showTiles(live, phase, pass) {
     const { force, speed } = live.readings ?? {}, limits = overview?.limits;
     const left = (phase === "run" ? pass : overview?.phase?.phase === phase ? overview?.phase : null)?.left;
-    const passedS = overview ? Math.max(0, (performance.now() - heardMs) / 1000) : 0; // the clocks may differ
+    const passedS = overview ? Math.max(0, (performance.now() - overviewMs) / 1000) : 0; // the clocks may differ
     if (live.approval || live.state === "held" || live.state === "changing") tiles.left.set(t.waiting, "", t.forYou);
     else if (left) {
       const s = Math.max(0, left.s - passedS), [value, unit] = split(duration(s));

@@ -138,9 +138,9 @@ export function mount(root, ctx) {
     const go = button(t.compareTwo, "primary", () => ctx.go(`history?compare=${numbers.join(",")}`));
     go.id = "history-compare";
     go.disabled = numbers.length !== 2;
-    const said = made("span", `${[...chosen.values()].join(", ")}. ${numbers.length === 1 ? t.chosen(1) : ""}`);
-    said.setAttribute("role", "status");
-    controls.picked.replaceChildren(said, go, button(t.clear, "", () => { chosen.clear(); drawTable(); }));
+    const summary = made("span", `${[...chosen.values()].join(", ")}. ${numbers.length === 1 ? t.chosen(1) : ""}`);
+    summary.setAttribute("role", "status");
+    controls.picked.replaceChildren(summary, go, button(t.clear, "", () => { chosen.clear(); drawTable(); }));
   }
 
   // figures by week
@@ -153,21 +153,21 @@ export function mount(root, ctx) {
       { label: t.charts.parts, values: weeks.map((one) => one.parts), kind: "bars", fill: soft },
       { label: t.results.accepted, values: weeks.map((one) => one.accepted), kind: "bars", fill: plain },
     ], [], {}]];
-    for (const [key, by, said, more] of [
+    for (const [key, by, asText, more] of [
       ["hours", 1, (value) => duration(3600 * value), {}],
       ["gain", 100, (value) => `${Math.round(value)}\u00a0%`, { range: (_, low, high) => [Math.min(0, low), Math.max(100, high)] }],
       ["over_predicted", 1, (value) => figure(value, 3), { level: { value: 1, text: "" }, range: (_, low, high) => [Math.min(0.5, low), Math.max(1.5, high) * 1.05] }],
     ]) {
       const [low, median, high] = middle(key, by);
-      cards.push([key === "over_predicted" ? "over" : key, (one) => (one[key] ? t.quartiles(...[1, 0, 2].map((n) => said(by * one[key][n]))) : NONE), [
+      cards.push([key === "over_predicted" ? "over" : key, (one) => (one[key] ? t.quartiles(...[1, 0, 2].map((n) => asText(by * one[key][n]))) : NONE), [
         { label: "", values: low, kind: "hidden" }, { label: "", values: high, kind: "hidden" }, { label: t.charts[key], values: median, kind: "line", stroke: plain },
       ], [{ series: [2, 1], fill: band }], more]);
     }
-    controls.weeks.replaceChildren(...cards.map(([key, said, series, bands, more]) => {
+    controls.weeks.replaceChildren(...cards.map(([key, describe, series, bands, more]) => {
       const readout = made("p", "", "readout"), last = weeks.at(-1);
-      const show = (n) => { const one = weeks[n ?? weeks.length - 1] ?? last; put(readout, `${t.week(shortDay(one.at_s))}: ${said(one)}`); };
+      const show = (n) => { const one = weeks[n ?? weeks.length - 1] ?? last; put(readout, `${t.week(shortDay(one.at_s))}: ${describe(one)}`); };
       show();
-      const one = keep(chart({ label: `${t.charts[key]}, ${t.notes[key]}. ${t.week(day(last.at_s))}: ${said(last)}`, height: 128, x, series, bands, hover: show, ...more }));
+      const one = keep(chart({ label: `${t.charts[key]}, ${t.notes[key]}. ${t.week(day(last.at_s))}: ${describe(last)}`, height: 128, x, series, bands, hover: show, ...more }));
       return card(`weeks-${key}`, t.charts[key], made("p", t.notes[key], "note"), one.root, readout);
     }));
   }
@@ -197,8 +197,8 @@ export function mount(root, ctx) {
     await showMaps(places, one.cycles.map((cycle) => wantedMap(one, cycle)), key);
   }
   const wantedMap = (one, cycle, name = "") => {
-    const said = t.mapOf(cycle.cycle, nm(cycle.measured.rms_nm));
-    return { path: `${one.number}/cycles/${cycle.cycle}/map/measured`, label: `${name || one.part}, ${said}`, note: name ? `${name}, ${said}` : said };
+    const cycleText = t.mapOf(cycle.cycle, nm(cycle.measured.rms_nm));
+    return { path: `${one.number}/cycles/${cycle.cycle}/map/measured`, label: `${name || one.part}, ${cycleText}`, note: name ? `${name}, ${cycleText}` : cycleText };
   };
   async function showMaps(places, wanted, key) {
     if (!wanted.length) { places.maps.replaceChildren(made("p", t.mapMissing, "empty")); return; }
@@ -233,9 +233,9 @@ export function mount(root, ctx) {
     });
     const limits = parts[0].cycles.at(-1)?.measured.judged?.filter((line) => line.what === "RMS") ?? [];
     const level = limits.length ? { value: limits[0].limit, text: `${t.limit} ${figure(limits[0].limit)} nm` } : undefined;
-    const said = parts.map((one) => `${one.part}: ${one.cycles.map((cycle) => nm(cycle.measured.rms_nm)).join(", ")}`).join(". ");
+    const listed = parts.map((one) => `${one.part}: ${one.cycles.map((cycle) => nm(cycle.measured.rms_nm)).join(", ")}`).join(". ");
     const range = (_, low, high) => [Math.min(low, level?.value ?? low) / 1.5, high * 1.3];
-    const made_ = chart({ label: `${t.convergence}. ${said}`, height, x, series, bands, time: false, log: true, level, xText: t.measurement, yText: t.rms, range });
+    const made_ = chart({ label: `${t.convergence}. ${listed}`, height, x, series, bands, time: false, log: true, level, xText: t.measurement, yText: t.rms, range });
     const key = box("p", "key note", ...(parts.length === 1 ? [mark("line", inks[0]), t.measured, mark("ring", color("--s2")), t.predicted, mark("area", color("--band")), t.expected] : parts.flatMap((one, k) => [mark("line", inks[k]), one.part]).concat([mark("ring", color("--muted")), t.predicted])));
     return { root: box("div", "", made_.root, key), end: () => made_.end() };
   }

@@ -32,7 +32,7 @@ export function mount(root, ctx) {
       return [words, [shown(one.value, unit), "number"], [(one.least ? t.atLeast : t.atMost)(shown(one.limit, unit)), "number"], one.fits ? t.fine : [one.advice, "warning"]];
     });
     table(figures, [t.figure, t.value, t.limit, t.state], health, t.none);
-    table(devices, [t.device, t.heard], Object.entries(live?.ages_s ?? {}).map(([name, age]) => [name, age > OLD_S ? [duration(age), "number warning"] : [age < 1 ? "< 1\u00a0s" : duration(Math.round(age)), "number"]]), t.noDevices);
+    table(devices, [t.device, t.lastAnswer], Object.entries(live?.ages_s ?? {}).map(([name, age]) => [name, age > OLD_S ? [duration(age), "number warning"] : [age < 1 ? "< 1\u00a0s" : duration(Math.round(age)), "number"]]), t.noDevices);
     table(signals, [t.signal, t.value, t.state], Object.entries(live?.signals ?? {}).map(([name, one]) => [name, one.text || NONE, one.wrong ? [one.wrong, "warning"] : t.fine]), t.noSignals);
     const session = ctx.session(), facts = [
       [t.daemon, t.states[how] ?? t.states.none], [t.link, state?.age_s === null || state?.age_s === undefined ? NONE : state.age_s < 2 ? "< 2\u00a0s" : duration(state.age_s)],

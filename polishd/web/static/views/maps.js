@@ -14,7 +14,7 @@ const DIGITS = { height_nm: 2, dwell_s: 4, gamma: 4 };
 export const styles = ["/maps/maps.css"];
 
 // What was chosen, also after another tab was shown.
-const kept = { kind: "measured", cycle: null, chosen: false, look: "flat", colors: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
+const choices = { kind: "measured", cycle: null, chosen: false, look: "flat", colors: "auto", ends: "auto", outside: "dim", path: false, smooth: true, outline: true, view: null, cursor: [0, 0], relief: 1 };
 
 // What a link to this view chooses: #maps?kind=residual&cycle=2&look=solid
 function asked(args, texts) {
@@ -27,17 +27,17 @@ function asked(args, texts) {
 
 export function mount(root, ctx) {
   const texts = ctx.texts.maps;
-  const now = Object.assign(kept, asked(ctx.args?.(), texts));
+  const now = Object.assign(choices, asked(ctx.args?.(), texts));
   const known = { map: null, path: null, first: null, why: "", asked: 0 };
   let drawn = null, surface = null, ended = false;
 
   // elements
-  const view = box("div", "m-view"), main = box("div", "m-main"), side = box("div", "m-side"), head = box("div", "m-head"), said = box("output", "m-read");
+  const view = box("div", "m-view"), main = box("div", "m-main"), side = box("div", "m-side"), head = box("div", "m-head"), readout = box("output", "m-read");
   const message = box("p", "m-message"), note = box("p", "m-note"), spoken = box("p", "unseen");
   const map = canvas("", "m-map"), flat = canvas("", "m-flat"), upright = canvas("", "m-upright"), corner = box("div", "m-corner"), stage = box("div", "m-stage");
   const mesh = canvas("", ""), labels = canvas("", "");
   message.setAttribute("role", "status");
-  said.setAttribute("aria-live", "off"); // it changes with each move; `spoken` follows once it rests
+  readout.setAttribute("aria-live", "off"); // it changes with each move; `spoken` follows once it rests
   spoken.setAttribute("aria-live", "polite");
   map.tabIndex = labels.tabIndex = 0;
   for (const one of [map, labels]) one.setAttribute("role", "application");
@@ -59,7 +59,7 @@ export function mount(root, ctx) {
     toggle(texts.path, now.path, async (on) => { now.path = on; await loadPath(); show(); }), toggle(texts.smooth, now.smooth, redraw("smooth"))];
   card.append(cycles, relief);
   options.append(select(texts.colors, texts.tables, now.colors, redraw("colors")), select(texts.ends, texts.scales, now.ends, redraw("ends")), ...flatOnly);
-  head.append(kinds, looks, said);
+  head.append(kinds, looks, readout);
   main.append(head, message, map, upright, flat, corner, stage, note);
   side.append(card, numbers, options, spoken);
   view.append(main, side);
@@ -121,7 +121,7 @@ export function mount(root, ctx) {
     for (const one of [map, flat, upright, corner]) one.hidden = is !== "flat";
     stage.hidden = !solid;
     relief.hidden = !solid;
-    said.hidden = solid;
+    readout.hidden = solid;
     for (const one of flatOnly) one.hidden = solid;
     numbers.hidden = note.hidden = is === "none";
     message.hidden = Boolean(known.map);
@@ -168,9 +168,9 @@ export function mount(root, ctx) {
   function read() {
     const [x, y] = now.cursor, z = valueAt(known.map, x, y), j = Math.round(columnOf(known.map, x)), i = Math.round(rowOf(known.map, y));
     const inner = known.map.aperture[i * known.map.nx + j] === 1, text = z === null ? texts.noData : `${figure(z, digits())}${unit()}`;
-    said.textContent = `x ${figure(x, 2)}   y ${figure(y, 2)} mm   z ${text}${z === null || inner ? "" : ` (${texts.beyond})`}`;
+    readout.textContent = `x ${figure(x, 2)}   y ${figure(y, 2)} mm   z ${text}${z === null || inner ? "" : ` (${texts.beyond})`}`;
     clearTimeout(speaks);
-    speaks = setTimeout(() => { if (document.activeElement === map) spoken.textContent = said.textContent; }, QUIET_MS);
+    speaks = setTimeout(() => { if (document.activeElement === map) spoken.textContent = readout.textContent; }, QUIET_MS);
   }
 
   function showSolid() {

@@ -13,10 +13,10 @@ export function terms(rows) {
   const list = box("dl", "terms");
   for (const [name, value, note] of rows) {
     if (value === null || value === undefined || value === "") continue;
-    const said = made("dd", typeof value === "object" ? undefined : value);
-    if (typeof value === "object") said.append(value);
-    if (note) said.append(made("span", note, "note"));
-    list.append(box("div", "", made("dt", name), said));
+    const shown = made("dd", typeof value === "object" ? undefined : value);
+    if (typeof value === "object") shown.append(value);
+    if (note) shown.append(made("span", note, "note"));
+    list.append(box("div", "", made("dt", name), shown));
   }
   return list;
 }
@@ -154,6 +154,6 @@ async function colorBar([low, high], signed, unit) {
   canvas.height = 1;
   for (let n = 0; n < 128; n++) { g.fillStyle = css(table(signed), n / 127); g.fillRect(n, 0, 1, 1); }
   canvas.setAttribute("aria-hidden", "true");
-  const said = (value) => `${Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(1)}`;
-  return box("div", "color-bar", made("span", said(low)), canvas, made("span", `${said(high)}\u00a0${unit}`));
+  const label = (value) => `${Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(1)}`;
+  return box("div", "color-bar", made("span", label(low)), canvas, made("span", `${label(high)}\u00a0${unit}`));
 }
