@@ -18,7 +18,7 @@ import hypothesis
 import pytest
 
 from polishd.plugins.interferometer.formats import sandbox
-from tests.kinds import mark_others_full
+from tests.selection import mark_others_full
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "data"

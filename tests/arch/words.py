@@ -20,7 +20,7 @@ FOLDERS = ("polishd/", "docs/")
 EXEMPT_TESTS = (
     "tests/arch/words.py",
     "tests/arch/test_rules.py",
-    "tests/campaigns/beside.py",
+    "tests/campaigns/result_files.py",
     "tests/campaigns/codecs/",
     "tests/campaigns/crash/",
     "tests/campaigns/faults/",

@@ -26,7 +26,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from polishd.util.files import write_atomic
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.codecs import results as codecs
 from tests.campaigns.faults import kept as faults
 from tests.campaigns.pits import kept as pits
@@ -70,7 +70,7 @@ class Claim:
 
     def is_fresh(self, root: Path = ROOT) -> bool:
         """Whether it was measured on the present sources."""
-        return bool(self.of) and self.of == beside.sources(self.scope, root)
+        return bool(self.of) and self.of == result_files.sources(self.scope, root)
 
     def differences(self, root: Path = ROOT) -> list[str]:
         """Return what is wrong with the record, or differs between page and data."""
@@ -166,9 +166,9 @@ def record(claims: Sequence[Claim], name: str, figures: dict[str, str], root: Pa
     new = replace(
         old,
         figure={**old.figure, **figures},
-        of=beside.sources(old.scope, root),
+        of=result_files.sources(old.scope, root),
         machine=machine(),
-        date=beside.today(),
+        date=result_files.today(),
     )
     if old.section:
         if (content := section_hash(page, old.section)) is None:

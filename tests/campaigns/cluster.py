@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.studies.result_store import JOURNAL, read_table
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.system.sim_rig import ROOT
 from tests.unit.studies.dask_rig import Cluster
 
@@ -88,7 +88,7 @@ def table(ran: Ran, rows: list[dict[str, Any]], wrong: list[str]) -> str:
         ("jobs that ended by an error", str(sum(bool(row["error"]) for row in rows))),
         ("columns compared with the pool's, to the last bit", f"{len(columns)}: all but `wall_s`, `cpu_s`"),
         ("that differ", str(len(wrong))),
-        ("last run", f"{beside.today()}, sources {beside.sources(['polishd'])}"),
+        ("last run", f"{result_files.today()}, sources {result_files.sources(['polishd'])}"),
     ]
     return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in lines), ""])
 
@@ -104,7 +104,7 @@ def main() -> int:
     wrong = differences(rows, pool)
     if len(rows) != count:
         wrong.append(f"{len(rows)} rows for {count} jobs")
-    beside.write(PAGE, BEGIN, END, text := table(ran, rows, wrong))
+    result_files.write(PAGE, BEGIN, END, text := table(ran, rows, wrong))
     print(text, *wrong[:20], sep="\n")
     return int(bool(wrong))
 

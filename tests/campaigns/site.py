@@ -19,10 +19,10 @@ from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, with_value
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
-from tests.patience import SOON_S
 from tests.system.agreement import disagreements
 from tests.system.cell_rig import APERTURE_MM, account
 from tests.system.sim_rig import ROOT, end_pid
+from tests.time_limits import SOON_S
 
 LOOK_S = 0.03
 MOVING = {"motion_started": True, "motion_stopped": False, "boot": False, "lost": False}

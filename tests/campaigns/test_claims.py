@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.claims import Claim, machine, read, record, section_hash, uncovered, write
 
 PAGE = "README.md"
@@ -67,7 +67,7 @@ def test_a_recorded_measurement_changes_the_page_and_is_fresh_until_a_source_cha
     assert "It takes 1.5 CPU s, the peer 5 s." in (root / PAGE).read_text()
     assert new.is_fresh(root)
     assert not SPEED.is_fresh(root)
-    assert (new.date, new.machine) == (beside.today(), machine())
+    assert (new.date, new.machine) == (result_files.today(), machine())
     (root / "polishd/fast/loop.py").write_text("FAST = False\n")
     assert not new.is_fresh(root)
 
@@ -148,7 +148,7 @@ def test_another_code_makes_a_measurement_old_and_a_better_explanation_does_not(
 ) -> None:
     loop = root / "polishd/fast/loop.py"
     loop.write_text(SOURCE)
-    measured = beside.sources(["polishd"], root)
+    measured = result_files.sources(["polishd"], root)
     assert old in SOURCE
     loop.write_text(SOURCE.replace(old, new))
-    assert (beside.sources(["polishd"], root) == measured) is same
+    assert (result_files.sources(["polishd"], root) == measured) is same

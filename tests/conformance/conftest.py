@@ -25,7 +25,7 @@ ONE_OF_EACH = {
     "test_without_samples_it_retracts": (),
     "test_impossible_forces_are_refused": ("force_n",),
 }
-"""Tests of the suites that wait, by name: tests/kinds.py."""
+"""Tests of the suites that wait, by name: tests/selection.py."""
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -50,15 +50,15 @@ from polishd.testing.suites.robot import RobotRig
 from polishd.testing.suites.spindle import SpindleRig
 from tests.conformance.conftest import BOUND_S, PROMPT_S, seen
 from tests.conformance.rigs.actuators import PATIENT
-from tests.conformance.rigs.looking import PATIENT_MONITOR, PATIENT_SENSOR
 from tests.conformance.rigs.robots import PATIENT_ROBOT
+from tests.conformance.rigs.sensors_and_monitors import PATIENT_MONITOR, PATIENT_SENSOR
 from tests.conformance.rigs.spindles import PATIENT_SPINDLE
 from tests.fakes.cia402 import cia402_spindle
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
-from tests.kinds import kind
-from tests.patience import SOON_S, within
 from tests.programs import plan_of
+from tests.selection import kind
 from tests.system.sim_rig import ROOT, Cell, alive, cell, wait_for
+from tests.time_limits import SOON_S, within
 from tests.unit.drivers.fanuc_rmi.test_program import program as tp_program
 
 # python-can leaves the socket of a bus that it refuses to open to the collector

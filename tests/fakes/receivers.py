@@ -15,7 +15,7 @@ from email.message import EmailMessage
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 
 @dataclass

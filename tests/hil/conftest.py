@@ -1,4 +1,4 @@
-"""Nothing of this without a cell."""
+"""Options of ``pytest -m hil``; without ``--cell`` these tests are skipped."""
 
 from __future__ import annotations
 

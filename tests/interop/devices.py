@@ -1,4 +1,4 @@
-"""Our simulated Modbus devices, and what a master of others does with each: the story is the same for all of them."""
+"""Our simulated Modbus devices, and the requests that a master of others sends to each: the same for all masters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Modbus slave of others, whose tables the test fills and reads, before our drivers: one story for all of them."""
+"""A Modbus slave of others for our drivers; the test fills and reads its tables, in the same way for all slaves."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from tests.interop.peers import Peer
-from tests.patience import SOON_S
 from tests.system.sim_rig import Cell, cell
+from tests.time_limits import SOON_S
 
 PEER = Peer("abb-robot-client", "Robot Web Services 1.0", "client", "PyPI", "abb-robot-client")
 pytestmark = PEER.needed

@@ -22,8 +22,8 @@ from polishd.drivers.transport.address import SocketcandAddress, parse_address
 from tests.fakes.canopen_node import LATCH_UP_UNITS
 from tests.fakes.cia402 import EDS
 from tests.interop.peers import Peer
-from tests.patience import SOON_S
 from tests.system.sim_rig import ROOT, Cell, cell, wait_for
+from tests.time_limits import SOON_S
 
 PEER = Peer("canopen", "CANopen", "node and client", "PyPI", "canopen")
 pytestmark = PEER.needed

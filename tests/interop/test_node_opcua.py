@@ -21,7 +21,7 @@ from tests.interop.devices import DONE, IDLE, QUICK, READY
 from tests.interop.peers import Peer, Program, program
 from tests.system.sim_rig import Cell, cell, wait_for
 from tests.unit.opcua.journals import write_journal
-from tests.unit.web.served import answering
+from tests.unit.web.page_server import answering
 
 PEER = Peer("node-opcua", "OPC UA", "server and client", "npm", "node-opcua")
 pytestmark = PEER.needed

@@ -17,9 +17,9 @@ from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.transport.address import Tcp, parse_address
 from polishd.drivers.transport.file_delivery import Folder
 from tests.interop.peers import Peer
-from tests.patience import SOON_S
 from tests.programs import plan_of
 from tests.system.sim_rig import Cell, cell
+from tests.time_limits import SOON_S
 
 PEER = Peer("py_openshowvar", "KUKAVARPROXY", "client", "PyPI", "py-openshowvar")
 pytestmark = PEER.needed

@@ -11,7 +11,7 @@ from polishd.web.http.users import Role, UserFile, users_path
 from tests.interop.peers import BUILT, Peer
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, web_of
-from tests.unit.web.served import answering
+from tests.unit.web.page_server import answering
 
 PEER = Peer("Schemathesis", "HTTP", "client", "PyPI", "schemathesis")
 pytestmark = PEER.needed

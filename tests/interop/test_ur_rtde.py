@@ -18,9 +18,9 @@ from polishd.drivers.universal_robots.driver import Addresses, UniversalRobot
 from polishd.drivers.universal_robots.rtde import UrRegisters
 from polishd.drivers.universal_robots.script import Settings
 from tests.interop.peers import Peer
-from tests.patience import SOON_S
 from tests.programs import plan_of
 from tests.system.sim_rig import Cell, cell
+from tests.time_limits import SOON_S
 
 PEER = Peer("ur_rtde", "RTDE", "client", "PyPI", "ur-rtde")
 pytestmark = PEER.needed

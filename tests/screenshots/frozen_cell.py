@@ -26,10 +26,10 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.web import overview, watcher
 from polishd.web.http.users import Role, UserFile, users_path
 from polishd.web.routes import application
-from tests.patience import SOON_S
 from tests.system.browser import Page
-from tests.unit.web.filled import DAY_S, EVENT, HOUR_S, MAP, PASS, FilledCell, facts_of, months, stats_of
-from tests.unit.web.served import Answers, answering
+from tests.time_limits import SOON_S
+from tests.unit.web.filled_journal import DAY_S, EVENT, HOUR_S, MAP, PASS, FilledCell, facts_of, months, stats_of
+from tests.unit.web.page_server import Answers, answering
 
 NOW_S = 1_795_921_440.0
 """2026-11-29 3:04 UTC."""

@@ -24,7 +24,7 @@ from tests.screenshots.scenes import DASHBOARD, SCENES
 from tests.system.browser import browsing
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, web_process
-from tests.unit.web.served import answering
+from tests.unit.web.page_server import answering
 
 WATCHERS, LASTS_S, OVERVIEW_S = 50, 30.0, 5.0
 PAINT = """JSON.stringify({

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 LOCAL = ("http://127.0.0.1:", "data:", "blob:", "about:")
 

@@ -16,8 +16,8 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
 from tests.commissioned import forged
-from tests.patience import SOON_S
 from tests.system.sim_rig import wait_for
+from tests.time_limits import SOON_S
 
 Sections = Mapping[str, Mapping[str, Any]]
 

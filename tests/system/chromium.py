@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.patience import SOON_S
 from tests.system.browser_page import Page
+from tests.time_limits import SOON_S
 
 NEEDED = {"chromium": "chromium"}
 """Program names and their Debian packages."""

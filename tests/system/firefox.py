@@ -18,9 +18,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.patience import SOON_S
 from tests.system.browser_page import Page
 from tests.system.sim_rig import wait_for
+from tests.time_limits import SOON_S
 
 NEEDED = {"firefox-esr": "firefox-esr", "Xvfb": "xvfb"}
 """Program names and their Debian packages."""

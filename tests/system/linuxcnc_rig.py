@@ -20,9 +20,9 @@ from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.toolpath.apertures import over_outline, tool_axes
 from polishd.process.toolpath.paths import raster
 from polishd.sim_backends.linuxcnc.device import ISOLATE
-from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, with_keys, with_part, write_small
 from tests.system.sim_rig import ROOT, alive, wait_for
+from tests.time_limits import SOON_S
 
 PART = {"aperture_mm": 7.0, "edge_mm": 0.5}
 """A pass over it takes some seconds: LinuxCNC knows real time only."""

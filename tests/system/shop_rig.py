@@ -16,9 +16,9 @@ from typing import Any
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
 from polishd.daemon.socket import client
 from polishd.model.errors import PolishdError
-from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small
 from tests.system.sim_rig import ROOT, wait_for
+from tests.time_limits import SOON_S
 
 EVERY_S = 0.3
 

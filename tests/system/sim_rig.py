@@ -20,7 +20,7 @@ import serial
 
 from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.common.framing import crc16, rtu
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = """

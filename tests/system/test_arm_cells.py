@@ -12,9 +12,9 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.sim_backends.common.mechanics import Screws
-from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, events, summary, with_keys, with_part, write_small
 from tests.system.test_rehearsal import rehearsed
+from tests.time_limits import SOON_S
 from tests.unit.process.robot.arms import arm_cell
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

@@ -12,7 +12,7 @@ import pytest
 
 from polishd.model.surface import FloatArray
 from polishd.util import array_stream
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 SMALL = {"plant": {"aperture_mm": 40.0, "rms_nm": 5.0, "pv_nm": 40.0, "seed": 4}}
 Answers = list[tuple[dict[str, Any], dict[str, FloatArray]]]

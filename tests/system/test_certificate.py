@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from polishd.daemon.socket import client
-from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, small_cell, summary
+from tests.time_limits import SOON_S
 
 pytestmark = pytest.mark.system
 

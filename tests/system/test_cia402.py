@@ -21,11 +21,11 @@ from polishd.drivers.cia402.protocol import read_dictionary
 from polishd.drivers.cia402.spindle import Cia402Spindle, SpindleScale
 from polishd.drivers.transport.address import SlcanAddress, SocketcandAddress, parse_address
 from tests.fakes.cia402 import EDS
-from tests.patience import SOON_S
 from tests.system.cell_rig import ONE_PASS, Daemon, events, summary, write_small
 from tests.system.sim_rig import ROOT, Cell, cell, end_pid, wait_for
 from tests.system.test_daemon import require_nothing_twice
 from tests.system.test_faults import require_off_the_part
+from tests.time_limits import SOON_S
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

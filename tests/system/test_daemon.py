@@ -28,10 +28,10 @@ from polishd.commissioning.rehearsal.simulated_cell import (
 from polishd.config.cell import load_config
 from polishd.daemon.socket import client
 from polishd.daemon.socket.client import SOCKET_NAME
-from tests.patience import SOON_S
 from tests.system.agreement import require_agreement
 from tests.system.cell_rig import ONE_PASS, Daemon, account, events, small_cell, summary, with_keys, write_small
 from tests.system.sim_rig import wait_for
+from tests.time_limits import SOON_S
 
 pytestmark = pytest.mark.system
 

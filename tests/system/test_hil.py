@@ -15,9 +15,9 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 from polishd.util.wire_recording import read_recording
-from tests.patience import SOON_S
 from tests.system.cell_rig import events, small_cell, with_keys, write_small
 from tests.system.sim_rig import ROOT, wait_for
+from tests.time_limits import SOON_S
 
 pytestmark = pytest.mark.system
 MOTION = "G21 G90 G94\nG1 X0 Y0 Z3 F60\nG1 X0.5 Y0 Z3 F60\nG1 X0.5 Y0.5 Z3 F60\nG1 X0 Y0.5 Z3 F60\n"

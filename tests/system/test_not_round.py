@@ -17,8 +17,8 @@ from polishd.model.surface import Grid
 from polishd.sim_backends.common.metropro import DatMap, pack
 from polishd.sim_backends.plant import part as plant_part
 from tests.commissioned import forged
-from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, events, summary, write_small
+from tests.time_limits import SOON_S
 
 pytestmark = pytest.mark.system
 

@@ -15,9 +15,9 @@ import serial
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, simulated_cell
 from tests.fakes.devices_by_profile import file_of
-from tests.patience import SOON_S
 from tests.system.agreement import require_agreement
 from tests.system.cell_rig import ONE_PASS, Daemon, summary, write_small
+from tests.time_limits import SOON_S
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

@@ -22,8 +22,8 @@ from polishd.plugins import devices, voice_coil
 from polishd.testing.device_rig import DriverCase
 from polishd.testing.replay import replayed
 from polishd.util.wire_recording import read_recording
-from tests.patience import SOON_S
 from tests.system.cell_rig import PATIENT, write_small
+from tests.time_limits import SOON_S
 
 pytestmark = [pytest.mark.system]
 

@@ -16,10 +16,10 @@ from polishd.config.cell import load_config
 from polishd.config.table_files import tif_bytes
 from polishd.model.process import MeasuredTif, ToolProcess
 from polishd.process.removal import contact
-from tests.patience import SOON_S
 from tests.system import abb_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.cell_rig import Daemon, events, summary, with_keys, write_small
 from tests.system.test_daemon import require_safe_order
+from tests.time_limits import SOON_S
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

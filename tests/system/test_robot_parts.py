@@ -17,10 +17,10 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
 from polishd.config.cell import CellConfig, load_config
-from tests.patience import SOON_S
 from tests.system import abb_rig, fanuc_rmi_rig, plc_robot_rig
 from tests.system.cell_rig import Daemon, Sections, events, summary, with_keys, with_part
 from tests.system.test_queue import polishd, queue
+from tests.time_limits import SOON_S
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(6 * SOON_S)]
 

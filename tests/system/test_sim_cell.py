@@ -20,8 +20,8 @@ from polishd.config.simulator import load_simulator
 from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.common import metropro
 from polishd.sim_backends.common.framing import body, line
-from tests.patience import SOON_S
 from tests.system.sim_rig import ROOT, SMALL, Cell, alive, cell, end_pid, wait_for
+from tests.time_limits import SOON_S
 from tests.unit.sim_backends.vectors import vectors
 
 pytestmark = pytest.mark.system

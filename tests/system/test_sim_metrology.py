@@ -11,8 +11,8 @@ import pytest
 
 from polishd.sim_backends.common import framing as f
 from polishd.sim_backends.common import metropro
-from tests.patience import SOON_S
 from tests.system.sim_rig import SMALL, Cell, RobotClient, announced, cell, wait_for
+from tests.time_limits import SOON_S
 
 pytestmark = pytest.mark.system
 

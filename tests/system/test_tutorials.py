@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

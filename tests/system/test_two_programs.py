@@ -11,8 +11,8 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from polishd.daemon.socket import client
-from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, events, small_cell, with_keys
+from tests.time_limits import SOON_S
 
 pytestmark = pytest.mark.system
 

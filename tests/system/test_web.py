@@ -19,11 +19,11 @@ import pytest
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, write_demo
 from polishd.config.cell import load_config
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.patience import SOON_S
 from tests.system.browser import Page, browsing, each_browser
 from tests.system.cell_rig import Daemon, small_cell, with_keys
 from tests.system.sim_rig import wait_for
-from tests.unit.web.served import Answers, answering
+from tests.time_limits import SOON_S
+from tests.unit.web.page_server import Answers, answering
 
 pytestmark = [pytest.mark.system, pytest.mark.full]
 

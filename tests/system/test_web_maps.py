@@ -19,7 +19,7 @@ from polishd.web.http.users import Role, UserFile, users_path
 from tests.system.browser import Page, browsing, each_browser
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, signed_in, web_of
-from tests.unit.web.served import Answers, answering
+from tests.unit.web.page_server import Answers, answering
 from tests.unit.web.test_maps import PITCH, SPIKE, X, Y, fill, plan, surface
 
 pytestmark = [pytest.mark.system, pytest.mark.full, each_browser]

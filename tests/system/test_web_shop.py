@@ -19,8 +19,8 @@ from polishd.web.http.users import Role, UserFile, users_path
 from tests.system.browser import Page, browsing, each_browser
 from tests.system.cell_rig import with_keys
 from tests.system.test_web import FREE, signed_in, web_of
-from tests.unit.web.filled import shop_cell
-from tests.unit.web.served import Answers, answering
+from tests.unit.web.filled_journal import shop_cell
+from tests.unit.web.page_server import Answers, answering
 
 pytestmark = [pytest.mark.system, pytest.mark.full, each_browser]
 

@@ -13,7 +13,7 @@ import pytest
 
 from polishd.cli import app
 from polishd.hookspecs import API_VERSION
-from tests.unit.said import Polishd, Said
+from tests.unit.cli_result import CliResult, Polishd
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cell.toml"
 
@@ -30,12 +30,12 @@ def example() -> str:
 def polishd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Polishd:
     """Return a function that runs a command in this process as from the shell: ``polishd("check", path)``."""
 
-    def call(*words: object) -> Said:
+    def call(*words: object) -> CliResult:
         monkeypatch.setattr(sys, "argv", ["polishd", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
             app.main()
         captured = capsys.readouterr()
-        return Said(int(ended.value.code or 0), captured.out, captured.err)
+        return CliResult(int(ended.value.code or 0), captured.out, captured.err)
 
     return call
 

@@ -1,4 +1,4 @@
-"""What the bench of dynamic plans says first is what was asked for: an exact one predicts what ion beams reach."""
+"""First row of the benchmark of dynamic plans: the exact plan reaches the required residual."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from polishd.studies.cases import Case
 from polishd.studies.engine import CaseResult, FinishedCase
 from polishd.studies.result_store import ResultStore
 from polishd.util.wire_recording import Way, WireMessage, header_line, passed_line, record_received, record_sent
-from tests.fakes.handover import PROFILE, Direct, FakePlc, cycling
+from tests.fakes.plc_robot import PROFILE, Direct, FakePlc, cycling
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```(?:python|py|python3|pycon)\b[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)

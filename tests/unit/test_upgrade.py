@@ -25,7 +25,7 @@ from polishd.daemon.runtime.exit_record import last_ending
 from polishd.model.errors import ConfigError
 from polishd.plugins.interferometer.map_files import TakenMaps
 from polishd.reports.certificate.sources import read_rows
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "upgrade.md").read_text()

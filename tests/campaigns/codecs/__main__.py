@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.codecs.results import BEGIN, DRIVERS, END, PAGE, Results, bad, seed_counts, text
 
 A_SEED = 20_000
@@ -48,7 +48,7 @@ def run(names: Sequence[str], replies: int, until_s: float, jobs: int, results: 
                 print(f"{name}: {bad(row):,} of {replies:,}, taken: {row['taken']}", file=sys.stderr, flush=True)
             return 0
 
-        beside.side_by_side([partial(one, name) for name in names], jobs, until_s)
+        result_files.side_by_side([partial(one, name) for name in names], jobs, until_s)
 
 
 def main() -> int:
@@ -58,7 +58,7 @@ def main() -> int:
         until_s = time.monotonic() + 60 * options.minutes
         run(options.driver or list(DRIVERS), options.replies, until_s, options.jobs, results)
     finally:
-        beside.write(PAGE, BEGIN, END, text(results))
+        result_files.write(PAGE, BEGIN, END, text(results))
     return int(any(row["taken"] for row in results.rows()))
 
 

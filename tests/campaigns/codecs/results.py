@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns import beside
-from tests.campaigns.beside import Row
+from tests.campaigns import result_files
 from tests.campaigns.codecs.controllers import MAKERS, Make, read_until
+from tests.campaigns.codecs.driver_cases import TALKS, campaign
 from tests.campaigns.codecs.faulty_peer import BAD, Talk, require_all_kinds
-from tests.campaigns.codecs.talks import TALKS, campaign
+from tests.campaigns.result_files import Row
 from tests.system.sim_rig import ROOT
 
 PAGE = ROOT / "docs" / "reference" / "results.md"
@@ -44,7 +44,7 @@ class Driver:
     @property
     def of(self) -> str:
         """The hash of these sources, as they are now."""
-        return beside.sources((*COMMON, *self.parts))
+        return result_files.sources((*COMMON, *self.parts))
 
 
 def _run_talk(make: type[Talk], patch: pytest.MonkeyPatch, bad: int, seed: int) -> Row:
@@ -83,7 +83,7 @@ class Results:
 
     def rows(self) -> list[Row]:
         """In the order of the page; of a driver that of other sources, where there is one, and then that of these."""
-        rows = [row for row in beside.read(self._path) if row["driver"] in DRIVERS]
+        rows = [row for row in result_files.read(self._path) if row["driver"] in DRIVERS]
         return sorted(rows, key=lambda row: list(DRIVERS).index(row["driver"]))
 
     def row(self, name: str) -> Row:
@@ -96,9 +96,9 @@ class Results:
         """Add the counts of one more seed. A line of other sources goes once it is of no more replies."""
         row = self.row(name)
         sums = {key: _sum(row[key], counted[key]) for key in COUNTS}
-        row = {**row, "seeds": row["seeds"] + 1, **sums, "date": beside.today()}
+        row = {**row, "seeds": row["seeds"] + 1, **sums, "date": result_files.today()}
         others = [one for one in self.rows() if one["driver"] != name or bad(one) > bad(row)]
-        beside.keep(self._path, sorted([*others, row], key=lambda one: list(DRIVERS).index(one["driver"])))
+        result_files.keep(self._path, sorted([*others, row], key=lambda one: list(DRIVERS).index(one["driver"])))
 
 
 def bad(row: Row) -> int:
@@ -120,4 +120,4 @@ def _line(row: Row) -> str:
     counts = ["" if row[key] is None else f"{row[key]:,}" for key in COUNTS]
     if row["taken"]:
         counts[COUNTS.index("taken")] = f"**{row['taken']:,}**"
-    return f"| {row['driver']} | {' | '.join(counts)} | {row['seeds']} | {beside.when(row)} |\n"
+    return f"| {row['driver']} | {' | '.join(counts)} | {row['seeds']} | {result_files.when(row)} |\n"

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from polishd.drivers.plc_robot.hses import Hses, answer_of
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.codecs import hses, lines
 from tests.campaigns.codecs import results as results_module
+from tests.campaigns.codecs.driver_cases import TALKS, campaign
 from tests.campaigns.codecs.faulty_peer import Talk, require_none_taken
 from tests.campaigns.codecs.results import BEGIN, COUNTS, DRIVERS, END, PAGE, Results, bad, text
-from tests.campaigns.codecs.talks import TALKS, campaign
-from tests.kinds import kind
+from tests.selection import kind
 
 
 @pytest.mark.one_of_each
@@ -87,7 +87,7 @@ def test_a_seed_is_counted_for_the_page(monkeypatch: pytest.MonkeyPatch, name: s
 
 
 def test_the_page_is_written_of_what_is_kept() -> None:
-    assert beside.written(PAGE, BEGIN, END) == text(Results())
+    assert result_files.written(PAGE, BEGIN, END) == text(Results())
 
 
 def left_behind() -> tuple[int, int]:

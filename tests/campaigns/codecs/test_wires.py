@@ -13,7 +13,7 @@ from polishd.drivers.transport.address import SerialLine, Tcp
 from tests.campaigns.codecs import hses, lines, modbus, robots
 from tests.campaigns.codecs.faulty_peer import NEVER_ON_WIRES, FaultyPeer, Talk, ask_until
 from tests.fakes.wires import PtyWire, TcpWire
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 SILENCE_S = 0.1
 """Much of what is broken is answered by nothing more. A busy computer loses some good ones, too."""

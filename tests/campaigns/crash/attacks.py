@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.campaigns.crash.kills import Attack, Campaign, Count, attacked_cell
 from tests.campaigns.site import Site
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 ATTACKS = 12
 """Of one cell, and then it goes on to the end of its job."""
@@ -24,7 +24,7 @@ STOPS_S, STOPS_SHARE = (0.1, 0.3, 1.0, 2.0, 5.0, 20.0, 60.0), (3, 3, 3, 3, 2, 1,
 
 def at_commit(cell: Campaign) -> None:
     """The daemon, at one of its commits."""
-    cell.site.start(("-m", "tests.campaigns.crash.attacked", str(cell.commit()), cell.where()))
+    cell.site.start(("-m", "tests.campaigns.crash.killed_daemon", str(cell.commit()), cell.where()))
     cell.begin()
     cell.until_ended(SOON_S)
     cell.strike()

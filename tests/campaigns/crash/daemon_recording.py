@@ -15,8 +15,8 @@ from polishd.daemon.runtime.exit_record import LOCK_NAME
 from polishd.daemon.socket import client
 from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.recording import MARKS, ROOT, Op, marked, ops, traced
-from tests.patience import SOON_S
 from tests.system.cell_rig import Daemon, small_cell
+from tests.time_limits import SOON_S
 
 SPEED = 40.0
 BLOCKS = 300

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.util.files import write_atomic
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.crash.attacks import ATTACKS_KNOWN
 from tests.campaigns.crash.daemon_recording import recorded_daemon
 from tests.campaigns.crash.kills import Count
@@ -43,7 +43,7 @@ EXAMPLES = 20
 
 def proved() -> str:
     """Return the hash of these sources."""
-    return beside.sources(PROVED)
+    return result_files.sources(PROVED)
 
 
 class Figures:

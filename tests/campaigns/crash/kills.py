@@ -21,10 +21,10 @@ from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell, with_values
 from polishd.model.errors import LinkError
-from tests.campaigns.crash.attacked import WHERE
+from tests.campaigns.crash.killed_daemon import WHERE
 from tests.campaigns.site import EXTENDED, LOOK_S, Site
-from tests.patience import SOON_S
 from tests.system.cell_rig import with_keys, write_small
+from tests.time_limits import SOON_S
 
 CELLS = 3
 """Side by side: they mostly wait for their watchdogs."""

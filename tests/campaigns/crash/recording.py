@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any
 
 from polishd.sim_backends.common import framing
-from tests.campaigns.crash.marked import WEAK
+from tests.campaigns.crash.recorded_process import WEAK
 
 ROOT = Path(__file__).resolve().parents[3]
 MARKS = "marks"
@@ -51,7 +51,7 @@ class Op:
 
 def marked(marks: Path, *command: object) -> list[str]:
     """The command line of ``crash.marked``."""
-    return [sys.executable, "-m", "tests.campaigns.crash.marked", str(marks), *map(str, command)]
+    return [sys.executable, "-m", "tests.campaigns.crash.recorded_process", str(marks), *map(str, command)]
 
 
 def traced(account: Path, command: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The campaign of crash states: every prefix of a recording, and of each as many disks as a crash may leave there."""
+"""The campaign of crash states: for every prefix of a recording, states of the disk that a crash there can leave."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tokens of `make crash`, that what it asks can be answered with no, and (slow) five minutes of it."""
+"""`make crash`: samples of it, tests that each of its checks can fail, and (slow) five minutes of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.campaigns.crash import kills
 from tests.campaigns.crash.disk import Disk
 from tests.campaigns.crash.figures import SAID
 from tests.campaigns.crash.judge import Promises, cached_row_crc, digest
-from tests.campaigns.crash.marked import NO_STORE_SYNC, NORMAL
+from tests.campaigns.crash.recorded_process import NO_STORE_SYNC, NORMAL
 from tests.campaigns.crash.recording import STATE, Op, files_in, recorded
 from tests.campaigns.crash.states import round_of
 from tests.campaigns.site import Site

@@ -17,12 +17,12 @@ from functools import partial
 from pathlib import Path
 
 from polishd.model.errors import PolishdError
-from tests.campaigns.beside import first_line, side_by_side
 from tests.campaigns.faults.judge import Finding, measure
 from tests.campaigns.faults.kept import LOSES, Kept
 from tests.campaigns.faults.links import LINKS
 from tests.campaigns.faults.losses import A_CELL, Loss, lose
 from tests.campaigns.faults.page import write
+from tests.campaigns.result_files import first_line, side_by_side
 
 NOT_MEASURED = "not measured"
 """The cell did not come so far, or not to rest: no row of the page, and the next sitting tries again."""

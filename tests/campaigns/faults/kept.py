@@ -8,11 +8,11 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from tests.campaigns import beside
-from tests.campaigns.beside import Row
+from tests.campaigns import result_files
 from tests.campaigns.faults.judge import Finding, load
 from tests.campaigns.faults.links import LINKS
 from tests.campaigns.faults.losses import Loss
+from tests.campaigns.result_files import Row
 from tests.system.sim_rig import ROOT
 
 DATA = ROOT / "docs" / "data"
@@ -25,7 +25,7 @@ EXAMPLES = 5
 @cache
 def of_case(link: str) -> str:
     """The hash of what a case on that link depends on, as it is now."""
-    return beside.sources(LINKS[link].parts())
+    return result_files.sources(LINKS[link].parts())
 
 
 class Kept:
@@ -38,12 +38,12 @@ class Kept:
 
     def cases(self) -> list[Row]:
         """In the order of the page; of cases that there are no more, none."""
-        found = {(row["link"], row["fault"]): row for row in beside.read(self._cases)}
+        found = {(row["link"], row["fault"]): row for row in result_files.read(self._cases)}
         return [found[case] for case in CASES if case in found]
 
     def losses(self) -> list[Row]:
         """The same, a row a link and sources."""
-        rows = [row for row in beside.read(self._losses) if row["link"] in LOSES]
+        rows = [row for row in result_files.read(self._losses) if row["link"] in LOSES]
         return sorted(rows, key=lambda row: LOSES.index(row["link"]))
 
     def left(self, *, new: bool = False, again: bool = False) -> list[tuple[str, str]]:
@@ -57,9 +57,9 @@ class Kept:
         """In the place of what was known of that case."""
         with self._lock:
             found = {(row["link"], row["fault"]): row for row in self.cases()}
-            about: Row = {"cells": self._cells, "date": beside.today(), "of": of_case(finding.link)}
+            about: Row = {"cells": self._cells, "date": result_files.today(), "of": of_case(finding.link)}
             found[finding.link, finding.fault] = {**asdict(finding), **about}
-            beside.keep(self._cases, (found[case] for case in CASES if case in found))
+            result_files.keep(self._cases, (found[case] for case in CASES if case in found))
 
     def lost(self, link: str) -> int:
         """Losses of that link that are counted, of these sources."""
@@ -76,8 +76,8 @@ class Kept:
                 rows.append(mine)
             _count(mine, loss)
             mine |= {"load": max(mine["load"], load()), "cells": max(mine["cells"], self._cells)}
-            mine["date"] = beside.today()
-            beside.keep(self._losses, _without_fewer(rows, mine))
+            mine["date"] = result_files.today()
+            result_files.keep(self._losses, _without_fewer(rows, mine))
 
 
 def count(row: Row) -> int:

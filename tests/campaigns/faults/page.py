@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from tests.campaigns import beside
-from tests.campaigns.beside import Row
+from tests.campaigns import result_files
 from tests.campaigns.faults.kept import CASES, Kept
+from tests.campaigns.result_files import Row
 from tests.system.sim_rig import ROOT
 
 PAGE = ROOT / "docs" / "reference" / "results.md"
@@ -36,7 +36,7 @@ def text(kept: Kept) -> str:
 
 def write(kept: Kept) -> None:
     """Put them into the page."""
-    beside.write(PAGE, BEGIN, END, text(kept))
+    result_files.write(PAGE, BEGIN, END, text(kept))
 
 
 def _link(rows: Sequence[Row]) -> str:
@@ -67,7 +67,7 @@ def _losses(row: Row) -> Iterator[str]:
         spreads = [_spread(pair[k] for pair in row[how]) for k in (0, 1)]
         yield _line(
             row["link"], how, str(len(row[how])), spreads[0], f"{row['limit_s']:g}", spreads[1], _load(row),
-            beside.when(row),
+            result_files.when(row),
         )  # fmt: skip
     if row["wrong"]:
         yield _line(row["link"], _bold(f"{row['wrong']} wrong: {'; '.join(row['examples'])}"), *[""] * 6)

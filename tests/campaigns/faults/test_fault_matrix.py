@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.faults import kept as keeping
 from tests.campaigns.faults.__main__ import main
 from tests.campaigns.faults.judge import Finding, measure
@@ -90,8 +90,8 @@ def test_losses_add_up_and_take_the_place_of_older_ones_once_they_are_as_many(
 
 def test_all_work_is_done_side_by_side_and_none_is_begun_after_its_time() -> None:
     work = [lambda: 1, lambda: 0, lambda: 1]
-    assert beside.side_by_side(work, 2, math.inf) == 2
-    assert beside.side_by_side(work, 2, time.monotonic()) == 0
+    assert result_files.side_by_side(work, 2, math.inf) == 2
+    assert result_files.side_by_side(work, 2, time.monotonic()) == 0
 
 
 def test_a_sitting_of_no_time_measures_nothing_and_says_what_is_left(
@@ -105,4 +105,4 @@ def test_a_sitting_of_no_time_measures_nothing_and_says_what_is_left(
 
 
 def test_the_page_is_written_of_what_is_kept() -> None:
-    assert beside.written(PAGE, BEGIN, END) == text(Kept())
+    assert result_files.written(PAGE, BEGIN, END) == text(Kept())

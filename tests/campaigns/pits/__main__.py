@@ -17,10 +17,10 @@ from functools import partial
 from pathlib import Path
 
 from polishd.model.errors import PolishdError
-from tests.campaigns.beside import first_line, side_by_side
 from tests.campaigns.pits.cases import LINKS
 from tests.campaigns.pits.judge import Finding, measure
 from tests.campaigns.pits.kept import Kept, write
+from tests.campaigns.result_files import first_line, side_by_side
 
 
 def parser() -> argparse.ArgumentParser:

@@ -8,10 +8,10 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from tests.campaigns import beside
-from tests.campaigns.beside import Row
+from tests.campaigns import result_files
 from tests.campaigns.pits.cases import CASES, LINKS
 from tests.campaigns.pits.judge import Finding
+from tests.campaigns.result_files import Row
 from tests.system.sim_rig import ROOT
 
 DATA = ROOT / "docs" / "data"
@@ -36,7 +36,7 @@ COMMON = (
 @cache
 def of_case(link: str) -> str:
     """Hash of the sources that a case on that link depends on."""
-    return beside.sources((*COMMON, *LINKS[link].parts))
+    return result_files.sources((*COMMON, *LINKS[link].parts))
 
 
 class Kept:
@@ -48,7 +48,7 @@ class Kept:
 
     def rows(self) -> list[Row]:
         """Results in the order of the page."""
-        found = {(row["link"], row["fault"]): row for row in beside.read(self._path)}
+        found = {(row["link"], row["fault"]): row for row in result_files.read(self._path)}
         return [found[case] for case in CASES if case in found]
 
     def left(self, *, again: bool = False) -> list[tuple[str, str]]:
@@ -61,10 +61,10 @@ class Kept:
 
     def add(self, finding: Finding) -> None:
         """Keep a result, in the place of an older one."""
-        row = {**asdict(finding), "date": beside.today(), "of": of_case(finding.link)}
+        row = {**asdict(finding), "date": result_files.today(), "of": of_case(finding.link)}
         with self._lock:
             kept = [one for one in self.rows() if (one["link"], one["fault"]) != (finding.link, finding.fault)]
-            beside.keep(self._path, [*kept, row])
+            result_files.keep(self._path, [*kept, row])
 
 
 def text(kept: Kept) -> str:
@@ -78,7 +78,7 @@ def text(kept: Kept) -> str:
 
 def write(kept: Kept) -> None:
     """Put it into the page."""
-    beside.write(PAGE, BEGIN, END, text(kept))
+    result_files.write(PAGE, BEGIN, END, text(kept))
 
 
 def _line(rows: Sequence[Row]) -> str:

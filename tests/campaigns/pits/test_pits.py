@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.pits import kept as keeping
 from tests.campaigns.pits.cases import CASES, LINKS
 from tests.campaigns.pits.judge import MOST_NM, WITHIN, Finding, bound_nm, measure
@@ -94,6 +94,6 @@ def test_a_sitting_of_no_time_measures_nothing_and_prints_no_row() -> None:
 
 
 def test_the_page_is_written_of_what_is_kept_and_no_row_is_above_what_is_allowed() -> None:
-    assert beside.written(PAGE, BEGIN, END) == text(Kept())
+    assert result_files.written(PAGE, BEGIN, END) == text(Kept())
     for row in Kept().rows():
         assert row["removed_nm"] <= min(MOST_NM, WITHIN * row["bound_nm"]), row

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from tests.campaigns import beside
-from tests.campaigns.beside import Row
+from tests.campaigns import result_files
 from tests.campaigns.rehearsals.rehearse import ACCEPTED, Finding, cells
+from tests.campaigns.result_files import Row
 from tests.system.sim_rig import ROOT
 
 DATA = ROOT / "docs" / "data"
@@ -26,7 +26,7 @@ SOURCES = ("daemon", "drivers", "model", "pipeline", "process", "sim_backends")
 @cache
 def of_cell(name: str) -> str:
     """Return the hash of the sources that the rehearsal of that cell depends on."""
-    return beside.sources((*(f"polishd/{source}" for source in SOURCES), f"examples/{name}"))
+    return result_files.sources((*(f"polishd/{source}" for source in SOURCES), f"examples/{name}"))
 
 
 class Kept:
@@ -37,7 +37,7 @@ class Kept:
 
     def rows(self) -> list[Row]:
         """Return the results in the order of the page, without those of removed examples."""
-        found = {row["cell"]: row for row in beside.read(self._path)}
+        found = {row["cell"]: row for row in result_files.read(self._path)}
         return [found[name] for name in cells() if name in found]
 
     def left(self) -> list[str]:
@@ -48,8 +48,8 @@ class Kept:
 
     def add(self, finding: Finding) -> None:
         """Save a result; it replaces an older one."""
-        row = {**asdict(finding), "date": beside.today(), "of": of_cell(finding.cell)}
-        beside.keep(self._path, [*(one for one in self.rows() if one["cell"] != finding.cell), row])
+        row = {**asdict(finding), "date": result_files.today(), "of": of_cell(finding.cell)}
+        result_files.keep(self._path, [*(one for one in self.rows() if one["cell"] != finding.cell), row])
 
 
 def text(kept: Kept) -> str:
@@ -62,14 +62,14 @@ def text(kept: Kept) -> str:
 
 def write(kept: Kept) -> None:
     """Write the table to the page."""
-    beside.write(PAGE, BEGIN, END, text(kept))
+    result_files.write(PAGE, BEGIN, END, text(kept))
 
 
 def _line(row: Row) -> str:
     outcome = row["outcome"] if row["outcome"] == ACCEPTED else f"**{row['outcome']}: {row['reason']}**"
     figures = (_nm(row[key]) for key in ("first_nm", "last_nm", "tolerance_nm", "true_nm"))
     head = (row["cell"], row["robot"], row["language"], outcome, str(row["passes"]))
-    return f"| {' | '.join((*head, *figures, format(row['duration_s'], '.0f'), beside.when(row)))} |\n"
+    return f"| {' | '.join((*head, *figures, format(row['duration_s'], '.0f'), result_files.when(row)))} |\n"
 
 
 def _nm(value: float | None) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.rehearsals.kept import BEGIN, END, PAGE, Kept, text
 from tests.campaigns.rehearsals.rehearse import Finding, cells, line, measure
 
@@ -46,7 +46,7 @@ def test_a_result_takes_the_place_of_an_older_one_and_is_measured_again_for_othe
 
 
 def test_the_page_is_written_from_what_is_kept() -> None:
-    assert beside.written(PAGE, BEGIN, END) == text(Kept())
+    assert result_files.written(PAGE, BEGIN, END) == text(Kept())
 
 
 @pytest.mark.slow

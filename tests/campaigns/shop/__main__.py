@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from polishd.model.errors import PolishdError
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.shop.sitting import CELLS, Sitting
 from tests.system.sim_rig import ROOT
 
@@ -63,7 +63,7 @@ def main() -> int:
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     kept, until_s = folder / "sittings.jsonl", time.monotonic() + 60 * options.minutes
-    rows = beside.read(kept)
+    rows = result_files.read(kept)
     stopping: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     while (done := sum(row["parts"] for row in rows)) < options.parts and time.monotonic() < until_s and not stopping:
@@ -74,13 +74,15 @@ def main() -> int:
         except PolishdError as error:  # before any part was added: the machine is too busy for a simulator to come up
             say(f"the sitting did not begin: {error}")
             continue
-        rows.append({**asdict(came), "date": beside.today(), "of": beside.sources(OF), "seed": options.seed})
-        beside.keep(kept, rows)
+        rows.append(
+            {**asdict(came), "date": result_files.today(), "of": result_files.sources(OF), "seed": options.seed}
+        )
+        result_files.keep(kept, rows)
         say(json.dumps(rows[-1]))
         if came.wrong:
             break  # the folder stays as it is for the analysis
     if folder == FOLDER and rows:
-        beside.write(PAGE, BEGIN, END, table(rows))
+        result_files.write(PAGE, BEGIN, END, table(rows))
     print(table(rows) if rows else "nothing was done")
     return int(any(row["wrong"] for row in rows))
 

@@ -15,7 +15,7 @@ from polishd.commissioning.rehearsal.simulated_cell import simulated_cell
 from polishd.shop import parts
 from polishd.shop.database import Database
 from tests.campaigns.shop.judge import OVER, has_unsent_events, lost_or_twice, polished, twice
-from tests.campaigns.shop.luck import Luck
+from tests.campaigns.shop.random_kills import Luck
 from tests.system.shop_rig import Shop, ShopCell, write_shop_cell
 from tests.system.sim_rig import wait_for
 

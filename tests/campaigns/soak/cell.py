@@ -26,9 +26,9 @@ from polishd.commissioning.rehearsal.simulated_cell import (
 from polishd.model.errors import PolishdError
 from tests.campaigns.site import Site
 from tests.campaigns.soak.usage import Meter, children
-from tests.patience import SOON_S
 from tests.system.cell_rig import with_faults, with_keys, write_small
 from tests.system.sim_rig import ROOT, wait_for
+from tests.time_limits import SOON_S
 
 QUICK = {
     "robot": {"silence_s": 3.0, "watchdog_s": 10.0},

@@ -15,7 +15,7 @@ from statistics import median
 from typing import Any
 
 from polishd.util.files import write_atomic
-from tests.campaigns import beside
+from tests.campaigns import result_files
 from tests.campaigns.soak.growth import BOUNDS, Slope, slopes
 from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import ACCEPTED, BY_A_PERSON, CALM, RECOVERED, SCRIPTS, Script
@@ -45,7 +45,7 @@ UNITS = {
 
 def sources() -> str:
     """Return the hash of polishd and of the soak itself: when it changes, the figures start anew."""
-    return beside.sources(("polishd", "tests/campaigns/soak"))
+    return result_files.sources(("polishd", "tests/campaigns/soak"))
 
 
 class Figures:

@@ -19,7 +19,7 @@ from tests.fakes.can_peers import SlcanPeer, SocketcandPeer
 from tests.fakes.devices_by_profile import file_of, shipped, voice_coil_modbus, voice_coil_serial
 from tests.fakes.profiled import IdealDrive, ProfiledPeer
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
-from tests.kinds import kind
+from tests.selection import kind
 
 TOUCHES = TestScope(touch_mm=5.0)
 PATIENT = ActuatorTimes(silence_s=1.0, watchdog_s=2.0)

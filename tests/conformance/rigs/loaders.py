@@ -14,7 +14,7 @@ from polishd.testing.suites.loader import LoaderRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes.loader import FakeLoader
 from tests.fakes.wires import PtyWire, TcpWire, dribbled
-from tests.kinds import kind
+from tests.selection import kind
 
 PATIENT_LOADER = LoaderTimes(silence_s=1.0)
 """A busy machine is silent for longer than most wires would be."""

@@ -19,7 +19,7 @@ from polishd.model.devices import RobotTimes
 from polishd.testing.device_rig import Rig, TestScope
 from polishd.testing.suites.robot import RobotRig
 from tests.conformance.rigs.wired import on_wire
-from tests.fakes import handover
+from tests.fakes import plc_robot
 from tests.fakes.abb_rws import FakeAbb, rapid_move
 from tests.fakes.fanuc_rmi import FakeFanuc
 from tests.fakes.kuka import FakeKuka, krl, kuka_robot
@@ -27,7 +27,7 @@ from tests.fakes.linuxcnc import FakeLinuxCnc
 from tests.fakes.robot import FakeRobot
 from tests.fakes.universal_robot import FakeController, urscript
 from tests.fakes.wires import TcpWire, dribbled
-from tests.kinds import kind
+from tests.selection import kind
 
 TP = TestScope(block=lambda at: b"%4d:  WAIT   .02(sec) ;" % (at + 1))
 URSCRIPT = TestScope(block=urscript)
@@ -174,24 +174,24 @@ async def _kuka_kvp(fake: FakeKuka) -> AsyncIterator[RobotRig]:
 @asynccontextmanager
 async def handover_direct(folder: Path) -> AsyncIterator[RobotRig]:
     """handover at the controller's variables themselves."""
-    fake = handover.FakePlc(folder)
-    async with handover.direct(fake) as device:
+    fake = plc_robot.FakePlc(folder)
+    async with plc_robot.direct(fake) as device:
         yield Rig(device, fake.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 
 @asynccontextmanager
 async def handover_opcua(folder: Path) -> AsyncIterator[RobotRig]:
     """PLC robot over OPC UA."""
-    fake = handover.FakePlc(folder)
-    async with handover.over_opcua(fake) as (device, relay):
+    fake = plc_robot.FakePlc(folder)
+    async with plc_robot.over_opcua(fake) as (device, relay):
         yield Rig(device, relay.cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 
 @asynccontextmanager
 async def handover_ads(folder: Path) -> AsyncIterator[RobotRig]:
     """PLC robot over ADS."""
-    fake = handover.FakePlc(folder)
-    async with handover.over_ads(fake) as (device, cut):
+    fake = plc_robot.FakePlc(folder)
+    async with plc_robot.over_ads(fake) as (device, cut):
         yield Rig(device, cut, lambda: setattr(fake, "silent", True), lambda: fake.stands, whole_file=True)
 
 

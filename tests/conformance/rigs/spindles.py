@@ -18,7 +18,7 @@ from tests.fakes.can_peers import SlcanPeer, SocketcandPeer
 from tests.fakes.devices_by_profile import file_of, shipped
 from tests.fakes.profiled import ProfiledPeer, inverter
 from tests.fakes.wires import PtyWire, TcpWire
-from tests.kinds import kind
+from tests.selection import kind
 
 PATIENT_SPINDLE = SpindleTimes(silence_s=1.5, watchdog_s=2.0)
 """A busy machine is silent for longer than most wires would be."""

@@ -14,7 +14,7 @@ from polishd.daemon.assembly import build_notifiers
 from polishd.daemon.notifications.sender import outbox_path
 from polishd.plugin_loader import load_cell
 from tests.fakes.receivers import web_server
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "notifications.md"
 SECRET = "hunter2-and-more"

@@ -27,8 +27,8 @@ from polishd.model.errors import ConfigError, DeviceFault, PolishdError
 from polishd.plugins.rnc_robot.dialect import FOLDER, dialect
 from polishd.programs import plan as planning
 from polishd.util.command_line import terminal_user
+from tests.unit.cli_result import CliResult, Polishd
 from tests.unit.maps.maps import dat, surface
-from tests.unit.said import Polishd, Said
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> DemoFiles:
 
 
 def test_version(polishd: Polishd) -> None:
-    assert polishd("--version") == Said(0, f"{__version__}\n", "")
+    assert polishd("--version") == CliResult(0, f"{__version__}\n", "")
 
 
 @pytest.mark.one_of_each
@@ -231,7 +231,7 @@ def test_a_file_that_cannot_be_had_is_one_line(polishd: Polishd, monkeypatch: py
             raise error
 
         monkeypatch.setattr(cell, "plugins_verb", fails)
-        assert polishd("plugins") == Said(1, "", f"polishd: {says}\n")
+        assert polishd("plugins") == CliResult(1, "", f"polishd: {says}\n")
 
 
 def test_plan_refuses_a_map_that_is_none(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from polishd.daemon.socket import client
 from polishd.util.command_line import account_name, terminal_user
 from polishd.web import routes
 from polishd.web.http.users import Role, User, UserFile, users_path
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 
 @pytest.fixture

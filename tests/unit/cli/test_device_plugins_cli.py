@@ -14,8 +14,8 @@ import pytest
 from polishd.commissioning.rehearsal.simulated_cell import demo_program, with_values
 from polishd.config.cell import load_config
 from tests.commissioned import commissioned
-from tests.patience import SOON_S
-from tests.unit.said import Polishd
+from tests.time_limits import SOON_S
+from tests.unit.cli_result import Polishd
 
 VERBS = ("check", "probe", "run")
 TOOL = """

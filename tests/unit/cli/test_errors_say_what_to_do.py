@@ -11,7 +11,7 @@ import typer
 from polishd.cli.app import app
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from tests.unit.cli.test_command_group import commands
-from tests.unit.said import Polishd, Said
+from tests.unit.cli_result import CliResult, Polishd
 
 TO_DO = re.compile(
     r"(?:^|[.;:?)] |, (?:and |or |then )?)(?:to do: )?'?(?:add|ask|check|connect|correct|export|fetch|install|measure"
@@ -97,7 +97,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return here
 
 
-def require_advice(said: Said) -> None:
+def require_advice(said: CliResult) -> None:
     assert said.code not in {0, 1}, said
     text = said.err or said.out
     assert "Traceback" not in text
@@ -174,6 +174,6 @@ def test_each_command_is_tried() -> None:
 
 
 def test_the_check_finds_a_message_without_advice() -> None:
-    require_advice(Said(3, "", "polishd: a.toml: is missing; add it\n"))
+    require_advice(CliResult(3, "", "polishd: a.toml: is missing; add it\n"))
     with pytest.raises(AssertionError):
-        require_advice(Said(3, "", "polishd: the cell has actuator, robot\n"))
+        require_advice(CliResult(3, "", "polishd: the cell has actuator, robot\n"))

@@ -10,8 +10,8 @@ import pytest
 from polishd.cli.history import draw
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.daemon.journal.history import FaultEvent, HistoryMeasurement, JobHistory
+from tests.unit.cli_result import Polishd
 from tests.unit.daemon.journal.test_history import polished
-from tests.unit.said import Polishd
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from polishd.cli import cell
 from polishd.cli.json_error import error_facts
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, ProgramError
 from polishd.rendering.terminal import emit
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 
 def test_an_error_is_printed_as_text_and_as_json(polishd: Polishd, tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 from polishd.maps.inspect import EXTRAS, format_answer
 from polishd.maps.map_files import readers_for
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import dat, surface
-from tests.unit.said import Polishd
 
 VERBS = ("figures", "compare", "convert", "commission", "formats")
 

@@ -18,7 +18,7 @@ from rich.console import RenderableType
 from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.rendering import terminal
 from polishd.rendering.terminal import Terminal, cycle_table, figure_table, key_table, record_table
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 NARROW = 60
 ESCAPE = "\x1b"

@@ -8,7 +8,7 @@ import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles
 from tests.system.cell_rig import write_small
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 
 @pytest.fixture(scope="module")

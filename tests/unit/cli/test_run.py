@@ -16,7 +16,7 @@ from polishd.daemon.app import CellRun
 from polishd.daemon.runtime.events import safety_of
 from polishd.model import errors
 from polishd.model.events import DaemonFailed, PassStarted
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 SUMMARY = {
     "outcome": "in_tolerance", "job": "demo", "cycles": [], "notes": [], "exit_code": 0, "run_dir": "runs/demo",

@@ -12,8 +12,8 @@ import pytest
 
 from polishd.cli.service import quoted
 from polishd.model.errors import ConfigError, DeviceError
+from tests.unit.cli_result import Polishd
 from tests.unit.conftest import EXAMPLE
-from tests.unit.said import Polishd
 
 ANALYZE = shutil.which("systemd-analyze")
 

@@ -12,7 +12,7 @@ from polishd.commissioning.rehearsal.simulated_cell import demo_program
 from polishd.config.cell import load_config
 from polishd.config.table_files import tif_bytes
 from polishd.model.process import MeasuredTif
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 

@@ -18,7 +18,7 @@ from polishd.daemon.journal.journal import Journal
 from polishd.daemon.socket import client
 from polishd.model import events
 from polishd.model.errors import LinkError, NoDaemon
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 LIVE = {
     "state": "polishing",

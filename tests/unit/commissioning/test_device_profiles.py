@@ -8,7 +8,7 @@ import pytest
 
 from polishd.config.device_profile_checks import DEVICE_PROFILE_DIR, shipped
 from tests.fakes.devices_by_profile import file_of
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 
 def test_the_list_says_what_was_tried(polishd: Polishd) -> None:

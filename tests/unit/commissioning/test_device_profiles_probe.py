@@ -18,11 +18,11 @@ from polishd.drivers.transport.address import SerialLine
 from tests.fakes.can_peers import BeatingNode, SlcanPeer, SocketcandPeer
 from tests.fakes.devices_by_profile import EXAMPLES, file_of
 from tests.fakes.loader import FakeLoader
-from tests.fakes.looking import FakeAmplifier, FakeInputs
+from tests.fakes.peer_thread import Served
 from tests.fakes.profiled import IdealDrive, ProfiledPeer, gauge, inverter
-from tests.fakes.served import Served
+from tests.fakes.sensors_and_monitors import FakeAmplifier, FakeInputs
 from tests.fakes.wires import Peer
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 LOADED = [
     "rnc_robot", "devices", "voice_coil", "interferometer",

@@ -22,7 +22,7 @@ from polishd.config.study import load_scenario
 from polishd.config.sweep import load_swept
 from polishd.config.toml_loader import MOST_LEVELS
 from polishd.model.errors import ConfigError
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 Load = Callable[[Path], object]

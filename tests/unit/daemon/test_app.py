@@ -38,7 +38,7 @@ from polishd.model.errors import (
 from polishd.model.events import CommandReceived, Event
 from polishd.model.program import Program
 from polishd.model.states import Outcome
-from tests.unit.daemon.small import (
+from tests.unit.daemon.small_job import (
     LIMITS,
     MOVES,
     Bench,

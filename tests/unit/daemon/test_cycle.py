@@ -32,7 +32,16 @@ from polishd.pipeline import steps
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from tests.unit.daemon.contact.test_streaming_stream import time_passes
-from tests.unit.daemon.small import LIMITS, MOVES, Bench, as_map, open_journal, small_map, small_program, small_recipe
+from tests.unit.daemon.small_job import (
+    LIMITS,
+    MOVES,
+    Bench,
+    as_map,
+    open_journal,
+    small_map,
+    small_program,
+    small_recipe,
+)
 
 SLOW = replace(LIMITS, excess_nm=1e6)
 """A robot may be as slow as it likes."""

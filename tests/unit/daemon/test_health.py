@@ -19,7 +19,7 @@ from polishd.model.errors import DeviceRefused, HostFault, LinkError
 from polishd.model.events import CellHeld
 from polishd.model.states import Outcome
 from polishd.pipeline.disk_space import SPARE_FILES, SPARE_MB, SpaceNeeded
-from tests.unit.daemon.small import Bench, open_journal
+from tests.unit.daemon.small_job import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
 
 

@@ -47,7 +47,7 @@ from polishd.model.states import CyclePhase, DaemonState, Outcome, Severity
 from polishd.pipeline.records import FIGURES
 from polishd.pipeline.run_folder import RunFolder
 from tests.fakes.devices import FakeCell
-from tests.unit.daemon.small import small_job
+from tests.unit.daemon.small_job import small_job
 
 End = Outcome | PolishdError | Callable[[Job], Any]
 

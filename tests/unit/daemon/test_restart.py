@@ -19,7 +19,7 @@ from polishd.daemon.socket.client import request
 from polishd.model.errors import ConfigError
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.run_folder import RunFolder
-from tests.unit.daemon.small import as_map, record_warm_starts, run_cell
+from tests.unit.daemon.small_job import as_map, record_warm_starts, run_cell
 from tests.unit.daemon.test_app import Site
 
 RATE = 0.8
@@ -177,7 +177,7 @@ async def test_another_edge_is_refused_before_anything_is_opened(site: Rerun) ->
 
 @pytest.mark.full
 async def test_another_program_is_refused_and_the_old_one_goes_on(site: Rerun) -> None:
-    from tests.unit.daemon.small import small_program
+    from tests.unit.daemon.small_job import small_program
 
     await stopped_after_a_pass(site)
     ours, site.program = site.program, small_program(14.5)

@@ -18,7 +18,7 @@ from polishd.daemon.journal.journal import Journal
 from polishd.daemon.runtime.exit_record import locked
 from polishd.model.errors import ConfigError
 from polishd.model.states import Outcome
-from tests.unit.daemon.small import Bench, open_journal, run_cell
+from tests.unit.daemon.small_job import Bench, open_journal, run_cell
 from tests.unit.daemon.test_app import Running, Site
 from tests.unit.daemon.test_restart import Rerun, resumed, stopped_after_a_pass
 

@@ -18,8 +18,8 @@ from polishd.drivers.transport.address import Tcp
 from polishd.drivers.universal_robots.rtde import RtdeSample, UrRegisters, UrRuntimeState
 from polishd.model.devices import RobotTimes
 from polishd.sim_backends.universal_robots import device as ur_device
-from tests.fakes.handover import PROFILE, FakePlc, direct
 from tests.fakes.linuxcnc import FakeLinuxCnc
+from tests.fakes.plc_robot import PROFILE, FakePlc, direct
 from tests.fakes.wires import TcpWire
 from tests.programs import plan_of
 

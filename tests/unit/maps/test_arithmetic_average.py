@@ -13,9 +13,9 @@ from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.plugins.interferometer.formats.x3p import X3P
 from polishd.process.metrology.averaging import average_maps
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.plugins.interferometer.map_files import HEIGHT_NM, foursight
-from tests.unit.said import Polishd
 
 NOISE_NM = 0.5
 

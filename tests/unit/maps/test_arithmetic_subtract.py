@@ -10,9 +10,9 @@ import pytest
 
 from polishd.maps.map_files import PROFILED, MapSource
 from polishd.model.surface import FloatArray, Grid
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat
 from tests.unit.plugins.interferometer.map_files import HEIGHT_NM, foursight
-from tests.unit.said import Polishd
 
 NOISE_NM = 1.0
 GRID = Grid(160, 128, PITCH_MM)

@@ -12,8 +12,8 @@ import pytest
 from polishd.config.instrument_profile import load_profile
 from polishd.model.surface import FloatArray
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat
-from tests.unit.said import Polishd
 
 PNG = b"\x89PNG\r\n\x1a\n"
 BUMPS = ((9.0, 6.0, 4.0, 2.5, 120.0), (-7.0, 11.0, 2.0, 2.0, 80.0), (-4.0, -10.0, 2.5, 2.5, -60.0))

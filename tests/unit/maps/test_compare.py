@@ -12,8 +12,8 @@ from polishd.maps.compare import paired
 from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import dat, surface
-from tests.unit.said import Polishd
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

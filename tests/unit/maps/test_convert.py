@@ -14,8 +14,8 @@ from polishd.maps import convert as map_convert
 from polishd.maps.map_files import MapSource, readers_for
 from polishd.model.errors import MapError
 from polishd.model.surface import SurfaceMap
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, TAKEN_S, dat, surface
-from tests.unit.said import Polishd
 
 WRITERS = (".dat", ".datx", ".x3p")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from polishd.rendering.terminal import WIDE, stdout
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 ROOT = Path(__file__).parents[3]
 DRAWING = (ROOT / "docs/reference/tolerance.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]

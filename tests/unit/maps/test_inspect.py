@@ -17,9 +17,9 @@ import sdfio
 
 from polishd.maps.map_files import distinguish_names
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.plugins.interferometer.map_files_other import points_file, sdf_second
-from tests.unit.said import Polishd
 
 KEYS = [
     "path", "format", "rows", "cols", "pitch_mm", "pitches_mm", "missing", "pv_nm", "rms_nm", "pv_tilt_removed_nm",

@@ -16,8 +16,8 @@ from polishd.model.surface import MOST_CHARACTERS, MOST_DEPTH, MapInput, MapStep
 from polishd.plugins.interferometer.formats.format import MARK
 from polishd.plugins.interferometer.formats.x3p import X3P
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat, surface
-from tests.unit.said import Polishd
 
 LEAF = MapStep("convert", "0.1.0", {}, (MapInput("map", "m.dat", "ab" * 32),))
 

@@ -9,8 +9,8 @@ import pytest
 
 from polishd.model.surface import Grid
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat
-from tests.unit.said import Polishd
 
 GRID = Grid(40, 60, PITCH_MM)
 X, Y = np.broadcast_arrays(GRID.x_mm[None, :], GRID.y_mm[:, None])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from polishd.maps import pictures as map_pictures
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import dat, surface
-from tests.unit.said import Polishd
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

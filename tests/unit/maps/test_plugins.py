@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import with_values
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 READER = """
 import numpy as np

@@ -10,8 +10,8 @@ import pytest
 
 from polishd.maps.map_files import MapSource
 from polishd.model.surface import FloatArray
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import dat
-from tests.unit.said import Polishd
 
 PITCH_MM = 0.5
 SIDE_PX, STEP_PX = 96, 60

@@ -11,7 +11,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrology.conditioning import resample_square
 from polishd.process.metrology.instrument import apply_profile
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 POINTS = [(x, y, 10.0 * x + 3.0 * y + x * y) for x in range(6) for y in range(5)]
 

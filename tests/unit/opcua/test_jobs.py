@@ -13,8 +13,8 @@ from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.opcua import server
 from polishd.opcua.jobs import ISA95, JOBS, RESULTS, node_id
 from tests.unit.opcua.journals import write_journal
-from tests.unit.opcua.seen import SECTION, inner, missing, seen, type_of, until, watching
-from tests.unit.web.served import LIVE, Answers, answering
+from tests.unit.opcua.opcua_client import SECTION, inner, missing, seen, type_of, until, watching
+from tests.unit.web.page_server import LIVE, Answers, answering
 
 STATES = ["Ended", "Ended", "Aborted", "Running", "AllowedToStart"]
 

@@ -22,10 +22,10 @@ from polishd.model.states import DaemonState
 from polishd.opcua import server
 from polishd.opcua.jobs import node_id
 from polishd.opcua.server import FILES, STATES
-from tests.patience import SOON_S
-from tests.unit.opcua.seen import SECTION, inner, missing, seen, type_of, until, watching
-from tests.unit.said import Polishd
-from tests.unit.web.served import LIVE, Answers, answering
+from tests.time_limits import SOON_S
+from tests.unit.cli_result import Polishd
+from tests.unit.opcua.opcua_client import SECTION, inner, missing, seen, type_of, until, watching
+from tests.unit.web.page_server import LIVE, Answers, answering
 
 KEYS = '\n[opcua]\nport = 0\nmanufacturer = "Maker"\nserial_number = "7"\nproduct_instance_uri = "urn:maker:7"\n'
 KINDS = {"MachineIdentificationType", "MachineryItemState_StateMachineType", "MachineryOperationModeStateMachineType"}

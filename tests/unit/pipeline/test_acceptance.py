@@ -16,7 +16,7 @@ from polishd.pipeline import acceptance, steps
 from polishd.pipeline.recipe import Recipe
 from polishd.process.metrology.absolute_poses import LEVEL, terms
 from polishd.process.metrology.absolute_test import AbsoluteTestResult, SystemMap
-from tests.unit.daemon.small import small_map, small_recipe
+from tests.unit.daemon.small_job import small_map, small_recipe
 
 KNOWN = UnmeasuredTerms(0.1, 0.1, 0.1, 0.1, 0.1, 0.1)
 SEEN = terms(4)[LEVEL:]

@@ -15,7 +15,7 @@ from polishd.pipeline import steps
 from polishd.pipeline.decisions import Accept, AnotherPass, Decision, Diverge, PassesUsed, Stalled, ToolWorn, decide
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
-from tests.unit.daemon.small import small_map, small_recipe
+from tests.unit.daemon.small_job import small_map, small_recipe
 
 STALL = Finding("stall", "too little", "job")
 WEAR = Finding("wear", "the rate fell", "cell")

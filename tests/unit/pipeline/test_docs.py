@@ -11,7 +11,7 @@ import pytest
 from polishd.pipeline import steps
 from polishd.pipeline.run_folder import read_map
 from polishd.plugin_loader import load_own
-from tests.unit.daemon.small import as_map, small_map, small_text
+from tests.unit.daemon.small_job import as_map, small_map, small_text
 
 ROOT = Path(__file__).parents[3]
 (EXAMPLE,) = re.findall(

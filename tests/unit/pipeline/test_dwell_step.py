@@ -21,7 +21,7 @@ from polishd.pipeline.records import MeasureResult
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
 from polishd.process.removal.transfer_function import SpotTransferFunction
-from tests.unit.daemon.small import (
+from tests.unit.daemon.small_job import (
     APERTURE_MM,
     gaussian_effect,
     pointwise_effect,

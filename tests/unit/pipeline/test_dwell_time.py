@@ -17,7 +17,7 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult, SolveResult
 from polishd.process.dwell import newton_cg
 from polishd.process.dwell.problem import DwellProblem
-from tests.unit.daemon.small import small_map, small_program, small_recipe
+from tests.unit.daemon.small_job import small_map, small_program, small_recipe
 
 
 class Costly:

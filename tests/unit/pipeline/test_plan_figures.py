@@ -14,7 +14,7 @@ from polishd.pipeline.records import MeasureResult, PlanResult, SolveResult
 from polishd.plugins.plan_checks import DIGITS
 from polishd.process.identification.findings import Forecast
 from polishd.process.removal.ripple import Ripple, RippleLine
-from tests.unit.daemon.small import at_rate, small_map, small_program, small_recipe
+from tests.unit.daemon.small_job import at_rate, small_map, small_program, small_recipe
 
 FORECAST = Forecast(0.5, 0.8, 1.4, 0.9, 0.99)
 RIPPLE = Ripple((RippleLine("across", 1.2, 0.6, 0.4, 0.9, 0.0),))

@@ -39,7 +39,7 @@ from polishd.pipeline.records import (
 from polishd.pipeline.steps import CachedEffect
 from polishd.process.identification.findings import Forecast
 from polishd.process.metrology.resampling import Registration
-from tests.unit.daemon.small import at_rate, gaussian_effect, small_map, small_program, small_recipe
+from tests.unit.daemon.small_job import at_rate, gaussian_effect, small_map, small_program, small_recipe
 
 LIES = Registration(0.1, (0.3, -0.2), residual_mm=0.01, used=7, by="fiducials", scale=1.001)
 

@@ -32,7 +32,7 @@ from polishd.process.metrology.statistics import fit_terms, remove_terms
 from polishd.process.removal.ripple import Ripple
 from polishd.process.robot import motion
 from tests.rs274 import RS274
-from tests.unit.daemon.small import (
+from tests.unit.daemon.small_job import (
     APERTURE_MM,
     at_rate,
     gaussian_effect,

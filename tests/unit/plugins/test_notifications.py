@@ -21,8 +21,8 @@ from polishd.model.states import Severity
 from polishd.plugins import notifications
 from polishd.plugins.notifications import REPLY_BYTES, polishd_notifiers
 from tests.fakes.receivers import mail_server, web_server
-from tests.patience import within
 from tests.system.sim_rig import alive, wait_for
+from tests.time_limits import within
 
 SECRET = "hunter2-and-more"
 KINDS = {kind.name: kind for kind in polishd_notifiers()}

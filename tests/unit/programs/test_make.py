@@ -34,7 +34,7 @@ from polishd.process.toolpath.apertures import TURN_LIMIT_DEG
 from polishd.programs.make import UNCHECKED, dialect_of, make_path, own_path, quiet_lines
 from polishd.programs.options import MakeOptions
 from polishd.sim_backends.common.metropro import DatMap, pack
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "cell.toml"
 OFF_AXIS = ("--optic", "asphere:150,-0.8,1e-8,-1e-13", "--offset", "30", "-10")

@@ -28,7 +28,7 @@ from polishd.pipeline.run_folder import RunFolder
 from polishd.process.dwell.problem import DwellProblem
 from polishd.programs import plan as planning
 from polishd.programs.plan import plan_part
-from tests.unit.daemon.small import CERTIFICATE, small_map, small_recipe, small_text
+from tests.unit.daemon.small_job import CERTIFICATE, small_map, small_recipe, small_text
 
 
 class Desk:

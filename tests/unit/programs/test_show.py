@@ -18,8 +18,8 @@ from polishd.plugins.rnc_robot.dialect import DIALECTS, dialect
 from polishd.plugins.rnc_robot.formats import read
 from polishd.programs import show as program_picture
 from polishd.rendering.terminal import stdout
+from tests.unit.cli_result import Polishd
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
-from tests.unit.said import Polishd
 
 DWELL = b"(a)\nG21 G90 G94\nG0 X0 Y0 Z5\nG1 X1 Z0 F60\nG4 P1\nG1 X3\nG4 P.5\nG1 X4 Y-1\nG4 P2\nG0 Z5\nM2".replace(
     b"\n", b"\r\n"

@@ -26,9 +26,9 @@ from polishd.model.text import printable
 from polishd.pipeline.records import table
 from polishd.rendering import terminal as tables
 from polishd.rendering.terminal import Terminal, escape_logs, key_table, record_table
+from tests.unit.cli_result import Polishd
 from tests.unit.plugins.interferometer.map_files import metropro
-from tests.unit.said import Polishd
-from tests.unit.web.served import served
+from tests.unit.web.page_server import served
 
 OSC = "\x1b]0;owned\x07"
 EVIL = f"a{OSC}b\x9b2J\x7f\u202e[bold]"

@@ -21,10 +21,10 @@ from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.config.tolerance import notation
 from polishd.model.tolerance import ToleranceLine
 from polishd.process.metrology.tolerance import judge_lines
-from tests import patience
+from tests import time_limits
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat, surface
 from tests.unit.rendering.printed import require_legible
-from tests.unit.said import Polishd
 
 TOLERANCE = """
 [[tolerance]]
@@ -250,7 +250,7 @@ def test_a_browser_prints_all_of_it(polishd: Polishd, tmp_path: Path, good: Path
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-pdf-header-footer"]
     options += [f"--user-data-dir={tmp_path / 'browser'}", f"--print-to-pdf={printed}"]
     command = [chromium, *options, page.as_uri()]
-    subprocess.run(command, capture_output=True, check=True, timeout=patience.SOON_S)
+    subprocess.run(command, capture_output=True, check=True, timeout=time_limits.SOON_S)
     require_figures(text_of(printed), read(page))
     listed = subprocess.run(["pdfimages", "-list", printed], capture_output=True, text=True, check=True).stdout
     assert len(re.findall(r"^ +\d+ +\d+ image ", listed, re.MULTILINE)) == read(page).pictures

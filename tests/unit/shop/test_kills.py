@@ -29,7 +29,7 @@ from polishd.shop.link import ShopClient, ShopLink
 from polishd.shop.parts import digests, part_of
 from polishd.shop.server import application, cells_of, users_of
 from polishd.web.http.users import Role
-from tests.killed import Steps, killed_at
+from tests.kill_at_step import Steps, killed_at
 from tests.unit.shop.test_link import HELD, SECTION, Desk
 from tests.unit.shop.test_server import write_shop
 

@@ -17,7 +17,7 @@ from polishd.shop.database import Database
 from polishd.shop.server import application, cells_of, serve, users_of
 from polishd.web.http.server import BUDGET, WRONG
 from polishd.web.http.users import Role
-from tests.unit.said import Polishd
+from tests.unit.cli_result import Polishd
 
 REPORT = {
     "journal": "J", "first": 1, "last": 1, "before": "", "tail": "h1", "now": {"state": "idle"},

@@ -32,7 +32,7 @@ from polishd.sim_backends.interferometer import (
     add_instrument_errors,
     write_artefact,
 )
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 TRUE = np.where(np.hypot(*np.mgrid[-8:9, -8:9]) < 8.5, 10.0 * np.mgrid[-8:9, -8:9][0], np.nan)
 

@@ -14,7 +14,7 @@ from polishd.model.errors import ComputeError, ConfigError
 from polishd.model.surface import FloatArray
 from polishd.studies.closed_loop import with_absolute_test, with_certified_map
 from polishd.studies.plant_client import PlantProcess
-from tests.unit.daemon.small import small_recipe
+from tests.unit.daemon.small_job import small_recipe
 from tests.unit.studies.studies import TABLE_III, runs_here
 
 POSES = ((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (180.0, 0.0, 0.0), (270.0, 0.0, 0.0), (0.0, 1.5, 0.0))

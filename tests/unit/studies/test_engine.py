@@ -37,7 +37,7 @@ over."process.tool_modulus_mpa" = [4.0, 5.0]
 over.seconds = [30.0, 60.0]
 """
 
-ODD = "tests.unit.studies.odd_child"
+ODD = "tests.unit.studies.faulty_worker"
 
 
 @pytest.fixture(autouse=True)

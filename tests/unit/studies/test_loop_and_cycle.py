@@ -25,7 +25,7 @@ from polishd.process.toolpath.paths import raster
 from polishd.studies import closed_loop
 from polishd.studies.closed_loop import GATE, TOOL, _Account, _Job
 from tests.rs274 import RS274
-from tests.unit.daemon.small import (
+from tests.unit.daemon.small_job import (
     APERTURE_MM,
     LIMITS,
     Bench,

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from polishd.api import DeviceFault, DeviceIdentity, DeviceStatus, DeviceType, LinkError, PluginError, hookimpl
 from polishd.testing.device_rig import DriverCase, Rig, started
 from polishd.testing.helpers import failure_of, first, seen
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 TALKS = """
 import json, sys, time

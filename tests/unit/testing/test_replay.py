@@ -12,12 +12,12 @@ from polishd.drivers.transport.lines import encode
 from polishd.model.errors import ConfigError
 from polishd.testing.replay import ReplayScript, exchanges, replayed
 from polishd.util.wire_recording import Way, WireMessage, header_line, passed_line
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
-Said = list[tuple[Way, bytes]]
+CliResult = list[tuple[Way, bytes]]
 
 
-def passed(said: Said, why: str = "the connection is closed") -> list[tuple[int, WireMessage]]:
+def passed(said: CliResult, why: str = "the connection is closed") -> list[tuple[int, WireMessage]]:
     return [
         (at + 2, WireMessage(at * 0.1, "tool", "tcp://h:1", way, data, None, why if way == "end" else ""))
         for at, (way, data) in enumerate(said)
@@ -33,7 +33,7 @@ def answer(of: ReplayScript, asked: bytes) -> bytes:
     return of.dialect.answer(b"".join(data for _, data in exchange.came), exchange.out, asked)
 
 
-POLLED: Said = [
+POLLED: CliResult = [
     ("open", b""),
     ("out", b"?\n"),
     ("in", b"up\n"),
@@ -89,7 +89,7 @@ def written(folder: Path, said: list[tuple[int, WireMessage]]) -> Path:
 
 @pytest.mark.parametrize("paced", [False, True])
 async def test_a_link_that_was_lost_is_lost_again(tmp_path: Path, *, paced: bool) -> None:
-    said: Said = [("open", b""), ("in", b"hello\n"), ("out", b"?\n"), ("in", b"u"), ("in", b"p\n"), ("end", b"")]
+    said: CliResult = [("open", b""), ("in", b"hello\n"), ("out", b"?\n"), ("in", b"u"), ("in", b"p\n"), ("end", b"")]
     path = written(tmp_path, passed(said, "the peer closed the connection"))
     async with replayed(path, "tool", paced=paced) as link:
         host, port = link.endpoint.removeprefix("tcp://").split(":")

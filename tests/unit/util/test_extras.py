@@ -21,8 +21,8 @@ from polishd.process.dwell import alternating_directions, douglas_rachford
 from polishd.process.removal import combined_effect
 from polishd.studies import cases
 from polishd.util import extras, jit
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import dat
-from tests.unit.said import Polishd
 
 ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -17,7 +17,7 @@ import pytest
 from polishd.model.errors import ComputeError, FrameError, WorkerError
 from polishd.util import array_stream
 from polishd.util.worker_process import WorkerLimit, WorkerProcess, process_cpu_s
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 TARGETS = "tests.unit.util.worker_targets"
 

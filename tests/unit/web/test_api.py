@@ -22,8 +22,8 @@ from polishd.web import api, run_data
 from polishd.web.http import server
 from polishd.web.http.users import COOKIE, Role, SessionStore, UserFile, users_path
 from polishd.web.routes import ROUTES, ApiRoute, document, open_path
-from tests.patience import SOON_S
-from tests.unit.web.served import Served, served
+from tests.time_limits import SOON_S
+from tests.unit.web.page_server import Served, served
 
 FIELDS = {"string": "x", "array": [1]}
 

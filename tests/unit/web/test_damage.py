@@ -14,7 +14,7 @@ from polishd.daemon.journal.store import ArrayStore
 from polishd.model.errors import JournalDamage
 from polishd.model.events import AlarmAcknowledged, CellHeld
 from polishd.model.states import CyclePhase
-from tests.unit.web.served import Served, served
+from tests.unit.web.page_server import Served, served
 
 READS = ("jobs", "jobs/1/cycles", "jobs/1/cycles/0/certificate", "history", "journal", "alarms", "queue", "state")
 STATS = b'"rms_nm": 1.5'

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from polishd.web.http import server
 from polishd.web.http.users import Role
 from polishd.web.routes import ROUTES, ApiRoute
-from tests.unit.web.served import Served, served
+from tests.unit.web.page_server import Served, served
 
 ANSWERS = {200, 202, 400, 401, 403, 404, 405, 409}
 VALUES = st.recursive(

@@ -20,8 +20,8 @@ from polishd.daemon.socket.client import request
 from polishd.daemon.socket.server import serving
 from polishd.model.events import CellHeld
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.patience import SOON_S
-from tests.unit.web.served import LIVE
+from tests.time_limits import SOON_S
+from tests.unit.web.page_server import LIVE
 
 BODY = b'{"reason": "look"}'
 

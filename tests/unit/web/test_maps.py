@@ -18,7 +18,7 @@ from polishd.daemon.journal.store import ArrayStore
 from polishd.daemon.queue.queue import NewJob, Queue
 from polishd.web import cell_figure
 from polishd.web.map_data import MAP_KINDS
-from tests.unit.web.served import Served, served
+from tests.unit.web.page_server import Served, served
 
 NY, NX, PITCH = 20, 24, 5.0
 X, Y = np.meshgrid((np.arange(NX) - (NX - 1) / 2) * PITCH, ((NY - 1) / 2 - np.arange(NY)) * PITCH)

@@ -19,7 +19,7 @@ from polishd.model.states import DaemonState, Outcome
 from polishd.web import routes
 from polishd.web.http.users import Role
 from polishd.web.metrics import OUTCOMES, STATES, Metrics, MetricsSnapshot
-from tests.unit.web.served import LIVE, Served, served
+from tests.unit.web.page_server import LIVE, Served, served
 
 READINGS = {
     "force": {"force_n": 19.5, "setpoint_n": 20.0, "age_s": 0.02},
@@ -70,7 +70,7 @@ def metered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]
         path.write_text(path.read_text().replace("[web] ", "[web]\nmetrics = true\n# "))
         return load_config(path)
 
-    monkeypatch.setattr("tests.unit.web.served.load_config", load)
+    monkeypatch.setattr("tests.unit.web.page_server.load_config", load)
     with served(tmp_path) as found:
         yield found
 

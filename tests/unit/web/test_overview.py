@@ -13,7 +13,7 @@ from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.journal.journal import JOURNAL_NAME
 from polishd.daemon.journal.store import Row, Store
 from polishd.web.overview import Overview, reading_row
-from tests.unit.web.filled import NOW_S, PASS, FilledCell, facts_of
+from tests.unit.web.filled_journal import NOW_S, PASS, FilledCell, facts_of
 
 SEGMENT = "INSERT INTO segment (job, cycle, seq, start_s, end_s, touched, recovered) VALUES (?,?,?,?,?,?,0)"
 PHASE = "INSERT INTO phase (job, cycle, phase, started, ended, outcome) VALUES (?,?,?,?,?,?)"

@@ -18,8 +18,8 @@ from polishd.web import part_history
 from polishd.web.http.users import Role
 from polishd.web.part_history import PartFilter, PartHistory, week_of
 from polishd.web.run_files import RunFiles
-from tests.unit.web.filled import DAY_S, NOW_S, FilledCell, shop_cell, with_run_folder
-from tests.unit.web.served import Served, served
+from tests.unit.web.filled_journal import DAY_S, NOW_S, FilledCell, shop_cell, with_run_folder
+from tests.unit.web.page_server import Served, served
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from polishd.web import queue_view
-from tests.unit.web.filled import DAY_S, HOUR_S, NOW_S, FilledCell
-from tests.unit.web.served import Served, served
+from tests.unit.web.filled_journal import DAY_S, HOUR_S, NOW_S, FilledCell
+from tests.unit.web.page_server import Served, served
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from polishd.commissioning.rehearsal.simulated_cell import write_demo
 from polishd.config.cell import load_config
 from polishd.web.api import MOST_OF_USER
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.patience import SOON_S
-from tests.unit.web.served import answering
+from tests.time_limits import SOON_S
+from tests.unit.web.page_server import answering
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from polishd.web.http.static_files import COMPRESSED, MEDIA_TYPES, static_files
-from tests.unit.web.served import Served, served
+from tests.unit.web.page_server import Served, served
 
 STATIC = Path(str(resources.files("polishd.web") / "static"))
 MOST_BYTES = 1_200_000

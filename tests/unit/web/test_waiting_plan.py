@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from polishd.model.events import PlanAwaitingApproval
-from tests.unit.web.filled import NOW_S, FilledCell, shop_cell
-from tests.unit.web.served import Served, served
+from tests.unit.web.filled_journal import NOW_S, FilledCell, shop_cell
+from tests.unit.web.page_server import Served, served
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from polishd.model.errors import LinkError
 from polishd.util.serialization import finite
 from polishd.web import watcher as module
 from polishd.web.watcher import Watcher, polling_daemon
-from tests.patience import SOON_S
-from tests.unit.web.served import answering
+from tests.time_limits import SOON_S
+from tests.unit.web.page_server import answering
 
 
 async def until(page: AsyncIterator[str], daemon: str) -> dict[str, Any]:

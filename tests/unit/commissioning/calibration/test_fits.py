@@ -14,8 +14,8 @@ from polishd.model.surface import FloatArray
 from polishd.process.removal.contact import hertz_depth_mm, removal_rate_nm_s, volume_rate_nm_mm2_s
 from polishd.process.robot.compliance import tip_compliance_mm_per_n
 from polishd.sim_backends.common.metropro import DatMap, pack
+from tests.unit.cli_result import Polishd
 from tests.unit.process.moves import inward_axis
-from tests.unit.said import Polishd
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "cell.toml"
 TRUE = dataclasses.replace(

@@ -23,9 +23,9 @@ from polishd.plugin_loader import load_cell
 from polishd.process.metrology.absolute_poses import PartPose
 from polishd.sim_backends.common.metropro import DatMap, pack
 from tests.commissioned import commissioned
+from tests.unit.cli_result import Polishd, unwrapped
 from tests.unit.maps.maps import dat
 from tests.unit.process.metrology.turned_maps import PITCH_MM, instrument_nm, maps, rms_nm, true_nm, turns
-from tests.unit.said import Polishd, unwrapped
 
 EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "cell.toml"
 QUARTERS = ["--angles", "0,90,180,270"]

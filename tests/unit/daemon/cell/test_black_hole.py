@@ -12,7 +12,7 @@ from polishd.daemon.cell import cell, device_polling
 from polishd.daemon.cell.device_polling import with_deadline
 from polishd.daemon.contact import safety
 from polishd.model.errors import DeviceFault, LinkError
-from tests.unit.daemon.small import Bench, open_journal
+from tests.unit.daemon.small_job import Bench, open_journal
 from tests.unit.daemon.test_app import CLOSED, Running
 
 SOON_S = 0.02

@@ -13,8 +13,8 @@ from polishd.model.devices import ActuatorTimes, DeviceStatus, SpindleTimes
 from polishd.model.errors import DeviceFault, LinkError
 from polishd.model.part_handling import BetweenPasses, HandlingStep
 from polishd.model.states import Outcome
-from tests.unit.daemon.job.test_part_handling_handling import proving
-from tests.unit.daemon.small import Bench, open_journal, small_recipe
+from tests.unit.daemon.job.test_part_handling import proving
+from tests.unit.daemon.small_job import Bench, open_journal, small_recipe
 from tests.unit.daemon.test_app import Running
 
 READY = DeviceStatus(ready=True, safe=True, state="idle")

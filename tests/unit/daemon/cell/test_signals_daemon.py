@@ -15,7 +15,7 @@ from polishd.model.errors import SafetyStop, SignalFault
 from polishd.model.events import CellHeld, SignalOutOfRange
 from polishd.model.states import Outcome
 from tests.fakes.devices import FakeMonitor
-from tests.unit.daemon.small import Bench, open_journal
+from tests.unit.daemon.small_job import Bench, open_journal
 from tests.unit.daemon.test_app import SAFE, Running
 from tests.unit.daemon.test_health import at_once
 

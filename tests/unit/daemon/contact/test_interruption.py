@@ -17,7 +17,7 @@ from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import LinkError
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
-from tests.unit.daemon.small import open_journal
+from tests.unit.daemon.small_job import open_journal
 
 BLOCKS = 40
 CONTACT = (5, 35)

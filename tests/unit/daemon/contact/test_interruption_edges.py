@@ -14,7 +14,7 @@ from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
 from tests.unit.daemon.contact.test_interruption import BLOCKS, CONTACT, interrupted, left, touched
-from tests.unit.daemon.small import open_journal
+from tests.unit.daemon.small_job import open_journal
 
 
 @pytest.fixture

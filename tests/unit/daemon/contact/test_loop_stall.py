@@ -39,8 +39,8 @@ from polishd.model.states import Outcome
 from polishd.pipeline.decisions import AnotherPass, passes_used
 from polishd.pipeline.records import SolveResult
 from tests.fakes.devices import FakeActuator, FakeCell, FakeMetrology, FakeRobot, FakeSpindle
-from tests.patience import waits
-from tests.unit.daemon.small import small_job, small_map
+from tests.time_limits import waits
+from tests.unit.daemon.small_job import small_job, small_map
 
 SCHEDSTAT = Path("/proc/self/schedstat")
 STAT, STEAL = Path("/proc/stat"), 8

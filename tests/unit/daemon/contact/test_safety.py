@@ -24,7 +24,7 @@ from polishd.model.devices import ActuatorTimes, ForceSample, RobotTimes, Signal
 from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, SafetyStop
 from polishd.util.wire_recording import record_received, tap
 from tests.fakes.devices import FakeCell, FakeDevice, blank
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 LIMITS = ContactLimits(force_n=12.0, rpm=1000.0, force_band=0.25, alarm_delay_s=0.3)
 SAFE = ["spindle.make_safe", "actuator.make_safe", "lifted", "robot.make_safe"]

@@ -13,7 +13,7 @@ from polishd.model.devices import ActuatorTimes, RobotTimes, SpindleTimes
 from polishd.pipeline.steps import envelope_of
 from polishd.process.robot.motion import delivered_time_s
 from tests.unit.daemon.contact.test_progress import Run, excess_of, plan_of
-from tests.unit.daemon.small import small_recipe
+from tests.unit.daemon.small_job import small_recipe
 
 TIMES = TimeLimits(ActuatorTimes(), RobotTimes(report_s=0.1), SpindleTimes())
 NO_LIMIT_NM = 1e6

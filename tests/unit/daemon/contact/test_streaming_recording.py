@@ -18,7 +18,7 @@ from polishd.daemon.journal.journal import Journal
 from polishd.model.devices import ExecutedBlock, ForceSample
 from polishd.model.errors import LinkError, SafetyStop
 from tests.fakes.devices import FakeCell
-from tests.unit.daemon.small import open_journal
+from tests.unit.daemon.small_job import open_journal
 
 LATE_S = 1.5
 BLOCKS = 40

@@ -21,7 +21,7 @@ from polishd.model.estimates import Estimate, Estimates
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import EstimatesInUse
 from tests.unit.daemon.job.test_job import whole_cycle
-from tests.unit.daemon.small import small_job, small_map, small_recipe
+from tests.unit.daemon.small_job import small_job, small_map, small_recipe
 
 TERMS = {
     "process.force_n": 12.0,

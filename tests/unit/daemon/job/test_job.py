@@ -27,7 +27,7 @@ from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import format_of
 from polishd.process.identification.findings import DIVERGED_RATIO
 from tests.rs274 import RS274
-from tests.unit.daemon.small import (
+from tests.unit.daemon.small_job import (
     CERTIFICATE,
     as_map,
     at_rate,

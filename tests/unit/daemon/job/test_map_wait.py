@@ -19,8 +19,8 @@ from polishd.model.events import MapRefused
 from polishd.model.states import Outcome, Severity
 from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.plugins.interferometer.watched_folder import WATCHED_FOLDER, FolderOptions
-from tests.patience import SOON_S
-from tests.unit.daemon.small import Bench, open_journal
+from tests.time_limits import SOON_S
+from tests.unit.daemon.small_job import Bench, open_journal
 from tests.unit.daemon.test_app import Running
 from tests.unit.plugins.interferometer.test_watched_folder import dat
 

@@ -15,7 +15,7 @@ from polishd.daemon.job.part_handling import approve, require_clear
 from polishd.model.devices import SignalLimits, SignalRange
 from polishd.model.errors import ConfigError, DeviceRefused, SignalFault
 from polishd.model.events import AlarmAcknowledged, CommandReceived, PlanApproved, PlanAwaitingApproval
-from tests.unit.daemon.small import Bench, open_journal, small_recipe
+from tests.unit.daemon.small_job import Bench, open_journal, small_recipe
 from tests.unit.daemon.test_app import Running
 from tests.unit.daemon.test_health import at_once
 

@@ -14,7 +14,7 @@ import pytest
 from polishd.daemon.job.part_handling import run_command
 from polishd.model.errors import HandlingError
 from polishd.model.part_handling import HandlingStep
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 HANGS = """
 import os, subprocess, sys, time

@@ -25,7 +25,14 @@ from polishd.plugins.rnc_robot.formats import path_program
 from polishd.process.toolpath.apertures import circle
 from polishd.process.toolpath.paths import raster
 from tests.rs274 import RS274
-from tests.unit.daemon.small import APERTURE_MM, Bench, open_journal, record_warm_starts, small_program, small_recipe
+from tests.unit.daemon.small_job import (
+    APERTURE_MM,
+    Bench,
+    open_journal,
+    record_warm_starts,
+    small_program,
+    small_recipe,
+)
 
 TRUTH = 0.8
 """True removal of the tool relative to its model."""

@@ -22,7 +22,7 @@ from polishd.model.part_handling import BetweenPasses, HandlingStep
 from polishd.model.process import ToolProcess
 from polishd.model.states import Outcome
 from polishd.pipeline.recipe import Recipe, ToolStep
-from tests.unit.daemon.small import Bench, open_journal, small_program, small_recipe
+from tests.unit.daemon.small_job import Bench, open_journal, small_program, small_recipe
 from tests.unit.process.gaussian import spot_effect
 
 WIDE_N = 20.0

@@ -10,7 +10,7 @@ import pytest
 from polishd.daemon.journal.records import BlockRecord
 from polishd.model.devices import ExecutedBlock
 from tests.system.agreement import disagreements
-from tests.unit.daemon.small import open_journal
+from tests.unit.daemon.small_job import open_journal
 
 RUN_S = 0.1
 

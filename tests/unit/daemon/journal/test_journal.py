@@ -26,7 +26,7 @@ from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
 from polishd.model.events import CellHeld, PlanWritten
 from polishd.model.states import CyclePhase, Outcome
-from tests.unit.daemon.small import recorded_phases
+from tests.unit.daemon.small_job import recorded_phases
 
 
 def opened(state_dir: Path, job: str = "job", part_id: str = "P1") -> Journal:

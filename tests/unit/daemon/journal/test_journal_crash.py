@@ -1,4 +1,4 @@
-"""Crashes and broken disks: acknowledged rows survive, and a lost journal stops the job."""
+"""Killed writers and failing disks, with the real file: acknowledged rows survive, and a lost journal stops the job."""
 
 from __future__ import annotations
 

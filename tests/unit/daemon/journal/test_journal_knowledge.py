@@ -15,7 +15,7 @@ from polishd.daemon.runtime.events import safety_of
 from polishd.model.devices import ExecutedBlock
 from polishd.model.events import CellHeld, DaemonFailed, QueueJobEnded
 from polishd.model.states import CyclePhase, Outcome
-from tests.unit.daemon.small import open_journal
+from tests.unit.daemon.small_job import open_journal
 
 
 @pytest.fixture

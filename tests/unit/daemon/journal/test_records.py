@@ -15,7 +15,7 @@ from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import PolishdError, WrongSeat
 from polishd.model.events import PlanWritten
 from polishd.model.states import CyclePhase, Outcome
-from tests.unit.daemon.small import recorded_phases
+from tests.unit.daemon.small_job import recorded_phases
 
 
 def opened(state_dir: Path, job: str = "job", **terms: Any) -> Journal:

@@ -31,8 +31,8 @@ from polishd.model.states import NOT_ASKED, CellSafety, Severity
 from polishd.model.surface import SurfaceStats
 from polishd.plugins.notifications import polishd_notifiers
 from tests.fakes.receivers import mail_server, web_server
-from tests.patience import SOON_S, within
-from tests.unit.daemon.small import run_cell
+from tests.time_limits import SOON_S, within
+from tests.unit.daemon.small_job import run_cell
 from tests.unit.daemon.test_app import Site
 
 SECRET = "hunter2-and-more"

@@ -24,7 +24,7 @@ from polishd.model.errors import ComputeError, MapError
 from polishd.pipeline import dwell_step, steps
 from polishd.pipeline.recipe import CpuLimit
 from polishd.util.worker_process import process_cpu_s
-from tests.unit.daemon.small import small_map, small_program, small_recipe
+from tests.unit.daemon.small_job import small_map, small_program, small_recipe
 
 
 def _jobs() -> ModuleType:

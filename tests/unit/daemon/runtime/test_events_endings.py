@@ -35,7 +35,7 @@ from polishd.model.errors import (
 )
 from polishd.model.states import Outcome
 from polishd.model.surface import SurfaceMap
-from tests.unit.daemon.small import Bench, open_journal, run_cell, small_recipe
+from tests.unit.daemon.small_job import Bench, open_journal, run_cell, small_recipe
 from tests.unit.daemon.test_app import SAFE, Running, Site
 
 

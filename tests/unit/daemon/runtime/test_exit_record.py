@@ -28,7 +28,7 @@ from polishd.daemon.runtime.exit_record import LOCK_NAME, RECORD_NAME, for_cell,
 from polishd.model.errors import ConfigError, SafetyStop
 from polishd.model.events import CellHeld, DaemonFailed, Event, PlanWritten, StateChanged
 from polishd.model.states import Outcome
-from tests.unit.daemon.small import open_journal
+from tests.unit.daemon.small_job import open_journal
 
 HOLDER = """
 import sys

@@ -21,7 +21,7 @@ from polishd.daemon.journal.journal import Journal
 from polishd.daemon.runtime.process import SystemdNotifier
 from polishd.model.events import CellOpened, StateChanged
 from polishd.model.states import NOT_ASKED
-from tests.unit.daemon.small import run_cell
+from tests.unit.daemon.small_job import run_cell
 from tests.unit.daemon.test_app import Site
 
 

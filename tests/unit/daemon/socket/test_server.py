@@ -20,7 +20,7 @@ from polishd.daemon.socket.client import LINE_BYTES, request, subscribe
 from polishd.daemon.socket.server import serving
 from polishd.model.errors import ConfigError, DeviceRefused, LinkError, ProtocolError
 from polishd.model.events import CellHeld, DaemonFailed, PassEnded, PassProgressed
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 
 async def status() -> Mapping[str, Any]:

@@ -19,8 +19,8 @@ from polishd.drivers.abb_rws.driver import AbbRobot, Tasks
 from polishd.drivers.abb_rws.services import RwsServices
 from tests.fakes import abb_rws
 from tests.fakes.abb_rws import FakeAbb, rapid_move
-from tests.patience import SOON_S
 from tests.programs import plan_of
+from tests.time_limits import SOON_S
 
 TIMES = RobotTimes(silence_s=2.0, watchdog_s=8.0, lifts=False)
 SPEED = 0.5

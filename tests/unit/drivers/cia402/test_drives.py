@@ -35,7 +35,7 @@ from tests.fakes.cia402 import (
     sim_motor,
 )
 from tests.fakes.wires import PtyWire, TcpWire
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 PATIENT = SpindleTimes(silence_s=1.5, watchdog_s=2.5)
 PATIENT_COIL = ActuatorTimes(silence_s=1.5, watchdog_s=2.5)

@@ -10,7 +10,7 @@ from polishd.api import LinkError, ProtocolError
 from polishd.config.controller_profile import load_controller_profile
 from polishd.drivers.plc_robot.ads import Ads
 from polishd.sim_backends.plc_robot.device import AMS_PORT, TCP_PORT, AdsServer
-from tests.fakes.handover import HOST, NETID, FakePlc, serving
+from tests.fakes.plc_robot import HOST, NETID, FakePlc, serving
 
 PROFILE = load_controller_profile("plc-ads", Path())
 

@@ -18,9 +18,9 @@ from polishd.api import DeviceFault, DeviceRefused, ExecutedBlock, LinkError, Pl
 from polishd.config.controller_profile import ControllerProfile
 from polishd.drivers.plc_robot.driver import PlcPoller, PlcRobot
 from polishd.drivers.plc_robot.program_tracker import ControllerReport
-from tests.fakes.handover import PROFILE, Direct, FakePlc, direct
-from tests.patience import SOON_S
+from tests.fakes.plc_robot import PROFILE, Direct, FakePlc, direct
 from tests.programs import plan_of
+from tests.time_limits import SOON_S
 
 SLOW = 20.0
 """Speed of the PLC's clock: a block lasts 50 ms."""

@@ -30,9 +30,9 @@ from polishd.drivers.plc_robot.hses import (
 )
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.file_delivery import Folder
-from tests.fakes.handover import FakePlc, ServedDatagrams, cycling, datagrams
-from tests.patience import SOON_S
+from tests.fakes.plc_robot import FakePlc, ServedDatagrams, cycling, datagrams
 from tests.programs import plan_of
+from tests.time_limits import SOON_S
 
 PROFILE = load_controller_profile("yaskawa-hses", Path())
 PATIENT = PROFILE.model_copy(update={"link_ms": 100.0})

@@ -17,7 +17,7 @@ from polishd.drivers.plc_robot.modbus import Modbus, place, spans
 from polishd.drivers.transport.address import Tcp
 from polishd.drivers.transport.file_delivery import Folder
 from polishd.sim_backends.plc_robot.device import ModbusServer
-from tests.fakes.handover import FakePlc, cycling, serving
+from tests.fakes.plc_robot import FakePlc, cycling, serving
 from tests.programs import plan_of
 
 PROFILE = load_controller_profile("plc-modbus", Path())

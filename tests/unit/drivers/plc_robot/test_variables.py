@@ -22,9 +22,9 @@ from polishd.util.wire_recording import (
     record_received,
     record_sent,
 )
-from tests.fakes.handover import PROFILE, Direct, FakePlc, cycling
-from tests.patience import SOON_S
+from tests.fakes.plc_robot import PROFILE, Direct, FakePlc, cycling
 from tests.programs import plan_of
+from tests.time_limits import SOON_S
 
 LINK = "opc.tcp://plc:4840"
 FOLDER = "ftp://operator@plc/programs"

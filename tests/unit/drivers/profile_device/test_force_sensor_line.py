@@ -17,7 +17,7 @@ from polishd.drivers.profile_device import build, codec
 from polishd.drivers.profile_device.drives import ProfiledForceSensor
 from polishd.drivers.transport import lines
 from polishd.drivers.transport.address import Tcp
-from tests.fakes.looking import FakeAmplifier
+from tests.fakes.sensors_and_monitors import FakeAmplifier
 from tests.fakes.wires import TcpWire
 from tests.vectors import vectors
 

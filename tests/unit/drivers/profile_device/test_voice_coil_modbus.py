@@ -16,7 +16,7 @@ from polishd.drivers.transport.address import SerialLine, Tcp
 from tests.fakes.actuator import Coil, ModbusCoil, crc16
 from tests.fakes.devices_by_profile import shipped, voice_coil_modbus
 from tests.fakes.wires import Once, PtyWire, TcpWire
-from tests.patience import SOON_S, within
+from tests.time_limits import SOON_S, within
 from tests.vectors import vectors
 
 POLLED = shipped("voice_coil_modbus").polled

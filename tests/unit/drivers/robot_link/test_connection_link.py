@@ -15,8 +15,8 @@ from polishd.drivers.robot_link import driver as link_driver
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
-from tests.patience import SOON_S, within
 from tests.programs import plan_of
+from tests.time_limits import SOON_S, within
 from tests.unit.drivers.conftest import PLAN, Pair
 
 

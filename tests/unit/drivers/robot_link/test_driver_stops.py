@@ -12,7 +12,7 @@ from polishd.drivers.robot_link import driver
 from polishd.drivers.robot_link.driver import RobotLink
 from polishd.drivers.transport.address import Tcp
 from tests.fakes import robot as wire
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 from tests.unit.drivers.conftest import PLAN, Pair
 
 

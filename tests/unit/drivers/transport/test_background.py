@@ -10,7 +10,7 @@ import pytest
 
 from polishd.api import LinkError, ProtocolError
 from polishd.drivers.transport.background import Background, Ready, cancellable, open_blocking
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 
 class Work:

@@ -10,7 +10,7 @@ import pytest
 
 from polishd.api import DeviceRefused, LinkError, PlainLines, ProtocolError, Tcp
 from tests.fakes.wires import Peer, TcpWire, dribbled
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 
 class Echo(Peer):

@@ -24,8 +24,8 @@ from polishd.drivers.transport.program_tracker import (
     time_shares,
 )
 from polishd.model.errors import DeviceFault, LinkError
-from tests.patience import SOON_S
 from tests.programs import plan_of
+from tests.time_limits import SOON_S
 
 
 @given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=20), st.floats(0.0, 2.0), st.floats(1e-3, 3.0), st.booleans())

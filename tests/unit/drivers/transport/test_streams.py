@@ -16,7 +16,7 @@ from polishd.drivers.transport.address import SerialLine, Tcp
 from polishd.drivers.transport.streams import LineReader, ReadBuffer, open_stream
 from polishd.util import address_claims
 from tests.fakes.wires import Peer, PtyWire, TcpWire
-from tests.patience import within
+from tests.time_limits import within
 
 
 class Recorder(Peer):

@@ -16,7 +16,7 @@ import pytest
 from polishd.api import LinkError, SurfaceError
 from polishd.plugins.interferometer import map_files, watched_folder
 from polishd.plugins.interferometer.map_files import FolderListing
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 from tests.unit.plugins.interferometer.test_restarts import NOW, Daemon, dat
 
 

@@ -24,7 +24,7 @@ from polishd.plugins.interferometer import polishd_device_types, polishd_surface
 from polishd.plugins.interferometer import watched_folder as folder_module
 from polishd.plugins.interferometer.formats.metropro import METROPRO
 from polishd.plugins.interferometer.watched_folder import WATCHED_FOLDER, FolderOptions, WatchedFolder
-from tests.patience import SOON_S, OwnClock
+from tests.time_limits import SOON_S, OwnClock
 
 PART = "DEMO-100"
 

@@ -11,8 +11,8 @@ from polishd.model.errors import ProgramError
 from polishd.plugins.rnc_robot.dialect import DEFAULT, LANGUAGES, detect, dialect
 from polishd.plugins.rnc_robot.formats import read
 from tests.commissioned import commissioned
+from tests.unit.cli_result import Polishd
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
-from tests.unit.said import Polishd
 
 EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "cell.toml"
 G_CODE = b"G21 G90 G94\nG0 X0 Y0 Z5\nG1 X1 Z0 F60\nG4 P1\nG1 X3\nG4 P.5\nG0 Z5\nM2\n"

@@ -18,7 +18,7 @@ from polishd.process.removal.dynamic_tif import (
     integrals,
 )
 from polishd.process.removal.tif import HertzSpot, WiderSpot
-from tests.unit.process.shared_out import shared_out
+from tests.unit.process.area_reference import shared_out
 
 
 def dense(grid: Grid, columns: CellAverages) -> FloatArray:

@@ -15,7 +15,7 @@ from polishd.model.process import ToolProcess
 from polishd.process.removal import contact
 from polishd.process.removal.tif import MOST_PATCH, PATCH, HertzSpot, hertz_spot, rotate_spot
 from polishd.process.removal.tif_family import PathBlocks, effect_row
-from tests.unit.process.shared_out import overlap
+from tests.unit.process.area_reference import overlap
 
 PAPER = ToolProcess()
 DEPTH = contact.hertz_depth_mm(PAPER)

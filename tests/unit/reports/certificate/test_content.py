@@ -21,9 +21,9 @@ from polishd.process.metrology.spectra import split_bands
 from polishd.reports.certificate.content import CertificateDraft, CertificateRequest, certificate_content
 from polishd.reports.certificate.model import Content
 from polishd.reports.certificate.sources import find_run, read_rows
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat
 from tests.unit.reports.certificate.runs import CUTOFF_MM, begin, heights
-from tests.unit.said import Polishd
 
 Spoil = Callable[[Path], None]
 

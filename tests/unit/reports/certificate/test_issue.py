@@ -24,8 +24,8 @@ from polishd.reports.certificate.document import certificate_document
 from polishd.reports.certificate.model import schema
 from polishd.reports.certificate.sources import find_run
 from polishd.web.run_files import RunFiles
+from tests.unit.cli_result import Polishd
 from tests.unit.reports.certificate.conftest import Made
-from tests.unit.said import Polishd
 
 DOCS = Path(__file__).resolve().parents[4] / "docs" / "how-to" / "certificate.md"
 AT = datetime(2026, 11, 25, 12, 0, tzinfo=UTC)

@@ -20,7 +20,7 @@ from polishd.sim_backends.common.faults import PROTOCOLS, FaultScript, FrameActi
 from polishd.sim_backends.common.framing import line, rtu
 from polishd.sim_backends.common.runtime import read_config
 from polishd.sim_backends.common.wire import FaultyLink, PtyPort
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 FORGED = ("wrong_unit", "exception")
 HOST = LinkDirection("", "numbered lines", "to_host")

@@ -22,7 +22,7 @@ from polishd.sim_backends.plc_robot import device as plc_device
 from polishd.sim_backends.plc_robot.device import ModbusServer
 from polishd.sim_backends.universal_robots import device as ur_device
 from polishd.sim_backends.universal_robots.controller import UrController
-from tests.fakes.handover import FakePlc
+from tests.fakes.plc_robot import FakePlc
 from tests.unit.sim_backends.fanuc_rmi.test_controller import Client
 from tests.unit.sim_backends.plant.test_world import world
 from tests.unit.sim_backends.robot.test_controller import Bench

@@ -27,7 +27,7 @@ from polishd.sim_backends.linuxcnc.device import (
     pose_of,
 )
 from polishd.sim_backends.linuxcnc.hal_gate import Gate, HalWatchdog, address
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 POSE = (1.0, -2.0, 60.0, 15.0, -90.0)
 

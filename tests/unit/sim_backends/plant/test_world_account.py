@@ -21,7 +21,7 @@ from polishd.sim_backends.common.runtime import Start
 from polishd.sim_backends.plant import part as parts
 from polishd.sim_backends.plant.server import PlantServer, build
 from polishd.sim_backends.plant.world import DwellAccount
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 SMALL = SimConfig(plant=Plant(aperture_mm=10.0, ring_mm=4.0))
 

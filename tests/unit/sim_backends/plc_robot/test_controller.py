@@ -21,7 +21,7 @@ from polishd.sim_backends.plc_robot.controller import (
     PlcProgram,
 )
 from polishd.sim_backends.plc_robot.device import ModbusServer
-from tests.fakes.handover import FakePlc
+from tests.fakes.plc_robot import FakePlc
 
 PROGRAM = b"G1 X1 F60\nG1 X2\nG4 P0.5 (polishd)\nM0 (polishd)\nG1 X3\nM2\n"
 """A second a millimetre; polishd's lines are marked."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from polishd.sim_backends.plc_robot.hses import HsesServer
-from tests.fakes.handover import FakePlc
+from tests.fakes.plc_robot import FakePlc
 
 JOB = ["/JOB", "//NAME POLISH", "//POS", "///RECTAN", "C00000=0,0,60,180,0,0", "C00001=9,0,60,180,0,0", "//INST", "NOP"]
 JOB += ["MOVL C00001 V=1.0", "TIMER T=1.00", "MOVL C00000 V=1.0", "PAUSE", "END"]

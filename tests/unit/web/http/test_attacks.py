@@ -28,8 +28,8 @@ from polishd.web import routes
 from polishd.web.http import server, users
 from polishd.web.http.server import BUDGET, LOCKED_S, WRONG, LoginLockout, RateLimiter
 from polishd.web.http.users import Role, UserFile, users_path
-from tests.patience import SOON_S
-from tests.unit.web.served import Served, served
+from tests.time_limits import SOON_S
+from tests.unit.web.page_server import Served, served
 
 STATIC = Path(routes.__file__).parent / "static"
 

@@ -15,7 +15,7 @@ from polishd.config.server_sections import CERTIFICATE_WARNING_S, ShopFile, load
 from polishd.model.errors import ConfigError
 from polishd.web.http.certificates import Certificate
 from tests.certificates import DAY_S, Authority
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
 from polishd.web.http import server as connections
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 ASK = b"GET / HTTP/1.1\r\nhost: a\r\n\r\n"
 

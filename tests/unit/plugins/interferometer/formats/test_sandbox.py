@@ -21,7 +21,7 @@ import pytest
 from polishd.api import MapError, SurfaceMap, SurfaceReader
 from polishd.plugins.interferometer.formats import sandbox
 from polishd.plugins.interferometer.map_files import read_map
-from tests.unit.plugins.interferometer import parsers_apart
+from tests.unit.plugins.interferometer import crashing_parsers
 
 ROOT = Path(__file__).resolve().parents[5]
 
@@ -38,7 +38,7 @@ def _worker_that_finds_the_tests() -> Iterator[None]:
 def read(tmp_path: Path, what: str, **bounds: Any) -> SurfaceMap:
     path = tmp_path / "map.bin"
     path.write_text(what)
-    return sandbox.read(parsers_apart.__name__, path, sandbox.USUAL._replace(**bounds))
+    return sandbox.read(crashing_parsers.__name__, path, sandbox.USUAL._replace(**bounds))
 
 
 @pytest.mark.full
@@ -52,7 +52,7 @@ def test_a_map_arrives_whole_and_can_be_changed(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_all_that_a_map_says_of_itself_arrives(tmp_path: Path) -> None:
-    surface, sent = read(tmp_path, "all"), parsers_apart.EVERYTHING
+    surface, sent = read(tmp_path, "all"), crashing_parsers.EVERYTHING
     np.testing.assert_array_equal(surface.height_nm, sent.height_nm)
     for one in fields(SurfaceMap):
         if one.name != "height_nm":
@@ -66,7 +66,7 @@ def test_the_head_of_a_map_has_every_field_but_the_heights_and_the_path() -> Non
 
 
 def test_pixels_that_are_not_square_arrive_with_both_pitches(tmp_path: Path) -> None:
-    sent = replace(parsers_apart.EVERYTHING, pitch_mm=None, pitches_mm=(0.1, 0.2))
+    sent = replace(crashing_parsers.EVERYTHING, pitch_mm=None, pitches_mm=(0.1, 0.2))
     text = json.dumps(sandbox._head(sent))
     surface = sandbox._map(sandbox._head_type().validate_python(json.loads(text)), sent.height_nm, tmp_path)
     assert (surface.pitch_mm, surface.pitches_mm) == (None, (0.1, 0.2))
@@ -142,7 +142,7 @@ def test_the_worker_is_kept_and_replaced_when_it_has_gone(tmp_path: Path) -> Non
 
 def test_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="No such file") as caught:
-        sandbox.read(parsers_apart.__name__, tmp_path / "none.bin")
+        sandbox.read(crashing_parsers.__name__, tmp_path / "none.bin")
     assert isinstance(caught.value.__cause__, FileNotFoundError)  # that is of the share, not of the map
 
 
@@ -183,7 +183,7 @@ def test_it_ends_when_no_caller_is_left(tmp_path: Path) -> None:
     (tmp_path / "map.bin").write_text("map")
     script = (
         "import os; from pathlib import Path; from polishd.plugins.interferometer.formats import sandbox as apart\n"
-        f"surface = apart.read({parsers_apart.__name__!r}, Path({str(tmp_path / 'map.bin')!r}))\n"
+        f"surface = apart.read({crashing_parsers.__name__!r}, Path({str(tmp_path / 'map.bin')!r}))\n"
         "print(surface.part_id, flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, check=False)
@@ -212,7 +212,7 @@ def test_a_worker_that_cannot_start_says_nothing_about_the_file(
 def test_a_path_is_of_the_folder_where_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read(tmp_path, "map")
     monkeypatch.chdir(tmp_path)
-    assert sandbox.read(parsers_apart.__name__, Path("map.bin")).pitch_mm == 0.5
+    assert sandbox.read(crashing_parsers.__name__, Path("map.bin")).pitch_mm == 0.5
 
 
 @pytest.mark.full
@@ -236,7 +236,7 @@ def test_no_reader_waits_for_the_file_of_another(tmp_path: Path) -> None:
     hung = tmp_path / "hung.bin"
     os.mkfifo(hung)
     with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(sandbox.read, parsers_apart.__name__, hung)
+        waiting = pool.submit(sandbox.read, crashing_parsers.__name__, hung)
         with hung.open("w") as pipe:  # opens once its worker has
             other = int(read(tmp_path, "map").part_id)
             assert not waiting.done()
@@ -255,7 +255,7 @@ def test_many_threads_get_each_their_own_map_and_no_files_stay_open(tmp_path: Pa
 
     def outcome(path: Path) -> str:
         try:
-            return str(sandbox.read(parsers_apart.__name__, path).path)
+            return str(sandbox.read(crashing_parsers.__name__, path).path)
         except MapError as error:
             return str(error).partition(":")[0]
 

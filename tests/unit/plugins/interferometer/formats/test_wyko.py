@@ -11,8 +11,8 @@ import pytest
 from polishd.model.errors import MapError
 from polishd.plugins.interferometer import READERS
 from polishd.plugins.interferometer.map_files import read_map
+from tests.unit.cli_result import Polishd
 from tests.unit.plugins.interferometer.map_files_other import wyko_text as text
-from tests.unit.said import Polishd
 
 NAN = np.nan
 HEIGHTS = np.array([[1.0, 4.0, 7.0, 10.0], [2.0, NAN, 8.0, 11.0], [3.0, 6.0, 9.0, 12.0]])

@@ -16,10 +16,10 @@ from polishd.testing.suites.force_sensor import ForceSensorRig
 from polishd.testing.suites.monitor import MonitorRig
 from tests.conformance.rigs.wired import on_wire
 from tests.fakes.devices_by_profile import file_of, shipped
-from tests.fakes.looking import FakeAmplifier, FakeInputs
 from tests.fakes.profiled import ProfiledPeer, gauge
+from tests.fakes.sensors_and_monitors import FakeAmplifier, FakeInputs
 from tests.fakes.wires import NumberedPeer, PtyWire, TcpWire, dribbled
-from tests.kinds import kind
+from tests.selection import kind
 
 PATIENT_SENSOR = SensorTimes(silence_s=1.0)
 PATIENT_MONITOR = MonitorTimes(silence_s=1.0)

@@ -18,7 +18,7 @@ from polishd.hookspecs import SurfaceReader
 from polishd.model.errors import MapError, ProgramError, StaleMap
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.run_folder import SNIFF_BYTES, RunFolder, read_map, read_program_bytes
-from tests.unit.daemon.small import small_map
+from tests.unit.daemon.small_job import small_map
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Every verb that reads a map, and is given a cell or a profile, reads it as that instrument's profile says."""
+"""Every command that reads a map, and gets a cell or a profile, reads it by that instrument's profile."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from polishd.model.surface import FloatArray, MapStep, SurfaceMap
 from polishd.process.metrology.absolute_test import AbsoluteTestResult
 from polishd.process.metrology.statistics import remove_terms
 from tests.commissioned import commissioned
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import PITCH_MM, dat, surface
-from tests.unit.said import Polishd
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "cell.toml"
 FACTOR = 0.5

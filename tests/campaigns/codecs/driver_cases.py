@@ -8,7 +8,7 @@ import pytest
 
 from tests.campaigns.codecs import hses, lines, modbus, robots, rws
 from tests.campaigns.codecs.faulty_peer import FaultyPeer, Talk, ask_until
-from tests.campaigns.codecs.virtual import virtual
+from tests.campaigns.codecs.virtual_clock import virtual
 
 TALKS: list[type[Talk]] = [
     lines.ForceSensor, lines.Monitor, lines.Loader, lines.VoiceCoil, lines.ForceGauge, lines.OwnLines, lines.LinuxCnc,

@@ -1,9 +1,9 @@
-"""What runs under the recorder: the real daemon, or the journal's own methods, on a connection that leaves marks.
+"""The process that is recorded: the real daemon, or the journal's own methods, on a connection that leaves marks.
 
 A mark is a line in a separate file, so that it stands in its place among the recorded system calls: what a commit is
-about to write, and that it has returned. ``python -m tests.campaigns.crash.marked MARKS daemon CELL.toml ...`` is
-``polishd run``; ``... script STATE_DIR`` is a job of a second, by the journal's own methods; ``... open STATE_DIR``
-opens and closes it.
+about to write, and that it has returned. ``python -m tests.campaigns.crash.recorded_process MARKS`` and one of these:
+``daemon CELL.toml ...`` is ``polishd run``; ``script STATE_DIR`` is a job of a second, by the journal's own methods;
+``open STATE_DIR`` opens and closes it.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Said:
+class CliResult:
     """Exit code, stdout and stderr."""
 
     code: int
@@ -36,4 +36,4 @@ def unwrapped(table: str) -> str:
     return " ".join(re.sub("[─-╿]", " ", table).split())
 
 
-Polishd = Callable[..., Said]
+Polishd = Callable[..., CliResult]

@@ -1,4 +1,6 @@
-"""``polishd run`` that is killed at a commit of its journal: ``-m tests.campaigns.crash.attacked N WHERE CELL ...``.
+"""``polishd run`` that is killed at a commit of its journal.
+
+``python -m tests.campaigns.crash.killed_daemon N WHERE CELL ...``.
 
 ``WHERE``: ``before`` the N-th COMMIT, ``amid`` its rows (after the first), or ``after`` it, when no caller knows that
 it is durable.

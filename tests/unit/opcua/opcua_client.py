@@ -14,7 +14,7 @@ from polishd.config.server_sections import OpcUaSection
 from polishd.opcua import server
 from polishd.opcua.jobs import node_id
 from polishd.opcua.server import MACHINERY
-from tests.patience import SOON_S
+from tests.time_limits import SOON_S
 
 SECTION = OpcUaSection(
     port=0, manufacturer="Maker", serial_number="7", product_instance_uri="urn:maker:7", model="P", location="Hall 2"

@@ -1,4 +1,4 @@
-"""``polishd estimates``: what a cell has learned, for people and for programs, and how it is forgotten."""
+"""``polishd estimates``: a cell's estimates, for people and for programs, and how they are forgotten."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from polishd.daemon.job import initial_estimates
 from polishd.daemon.runtime.exit_record import locked
 from polishd.model.estimates import Estimate, Estimates, MachineEstimates
 from polishd.pipeline.records import EstimatesInUse
+from tests.unit.cli_result import Polishd
 from tests.unit.daemon.job.test_initial_estimates_remembering import journal_of
-from tests.unit.said import Polishd
 
 TOOL = {"estimates.tool": "bonnet 7"}
 MACHINE = MachineEstimates(

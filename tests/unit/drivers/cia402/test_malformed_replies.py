@@ -1,4 +1,4 @@
-"""Replies that are malformed, late, doubled or another's: none is taken for a value, and nothing is left behind.
+"""Replies that are malformed, late, doubled or of another device: none is taken for a value.
 
 The whole link runs, with its queue, its time limits and its reopening; on a virtual clock waiting takes no time.
 """
@@ -23,7 +23,7 @@ from polishd.drivers.cia402.protocol import Address, read_dictionary
 from polishd.drivers.transport import background, can_bus
 from polishd.drivers.transport.address import SlcanAddress
 from polishd.drivers.transport.can_frames import CanFrame, OnFrame
-from tests.campaigns.codecs.virtual import VirtualLoop
+from tests.campaigns.codecs.virtual_clock import VirtualLoop
 from tests.fakes.can_peers import SlcanPeer
 from tests.fakes.cia402 import EDS, NODE, Frame, cia402_spindle, sim_motor
 from tests.fakes.wires import PtyWire

@@ -1,6 +1,6 @@
-"""What a campaign came to, beside its page in docs/ and in git: a line of JSON for each result; every machine adds.
+"""Result files of campaigns in docs/data: a line of JSON for each result, from any machine.
 
-A result bears the hash of the sources that it depends on: one of other sources stands until it is measured anew.
+A result has the hash of the sources that it depends on; one of other sources stays until it is measured again.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from polishd.pipeline.steps import in_part_frame
 from polishd.plugin_loader import Hooks, load_own
 from polishd.process.removal.contact import contact_radius_mm, hertz_depth_mm
 from tests.system.cell_rig import with_keys, without
-from tests.unit.daemon.small import accept
+from tests.unit.daemon.small_job import accept
 
 Cell = Callable[..., CellConfig]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.kinds import kind, mark_others_full
+from tests.selection import kind, mark_others_full
 
 
 class Case:

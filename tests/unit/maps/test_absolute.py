@@ -9,9 +9,9 @@ import pytest
 
 from polishd.maps.map_files import MapSource
 from polishd.model.surface import FloatArray
+from tests.unit.cli_result import Polishd
 from tests.unit.maps.maps import dat
 from tests.unit.process.metrology.turned_maps import PITCH_MM, instrument_nm, maps, part_nm, rms_nm, true_nm, turns
-from tests.unit.said import Polishd
 
 NOISE_NM = 0.3
 QUARTERS = ["--angles", "0,90,180,270"]

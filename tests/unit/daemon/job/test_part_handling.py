@@ -30,7 +30,7 @@ from polishd.model.part_handling import BetweenPasses, HandlingStep, SettleRule,
 from polishd.model.states import Outcome
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline import steps
-from tests.unit.daemon.small import Bench, as_map, open_journal, small_map, small_recipe
+from tests.unit.daemon.small_job import Bench, as_map, open_journal, small_map, small_recipe
 
 RIM_MM, PLACE_MM = 12.0, 11.0
 TURN = np.radians([90.0, 210.0, 330.0])
