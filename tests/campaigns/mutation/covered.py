@@ -63,7 +63,7 @@ def known_lines() -> dict[str, Any]:
 def changed_tests() -> list[str]:
     """Return the test files that changed since they were measured."""
     known = known_lines()
-    found = [path for name in TESTS for path in sorted((ROOT / name).glob("test_*.py")) or [ROOT / name]]
+    found = [path for name in TESTS for path in sorted((ROOT / name).rglob("test_*.py")) or [ROOT / name]]
     names = [str(path.relative_to(ROOT)) for path in found]
     return [name for name in names if known.get(name, {}).get("of") != content_of([name])]
 

@@ -30,7 +30,7 @@ COLUMNS = (
     "not tried yet",
 )
 HELPERS = "what tests share"
-SHARED = ("tests/fakes/*.py", "tests/unit/daemon/[!t]*.py", "tests/conftest.py", "tests/unit/*.py")
+SHARED = ("tests/fakes/*.py", "tests/unit/daemon/**/[!t]*.py", "tests/conftest.py", "tests/unit/*.py")
 
 
 class Kept:

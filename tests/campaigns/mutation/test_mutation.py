@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.campaigns.mutation import kept
+from tests.campaigns.mutation import covered, kept
 from tests.campaigns.mutation.campaign import KILLED, SURVIVED, TIMEOUT, Trial
 from tests.campaigns.mutation.kept import Kept, outdated, unexplained
 from tests.campaigns.mutation.mutants import Module, Mutant
@@ -131,6 +131,13 @@ def test_what_a_child_says_is_how_its_mutant_ended() -> None:
     assert (trial.receive("failed t.py::b\n"), trial.test) == (KILLED, "t.py::b")
     assert Trial(mutant, print, {}).receive("ended \n") == SURVIVED
     assert Trial(mutant, print, {}).receive("") == KILLED, "it died"
+
+
+def test_tests_of_subfolders_are_measured_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(covered, "known_lines", dict)
+    assert {"tests/unit/daemon/contact/test_leaving.py", "tests/unit/util/test_files.py"} <= set(
+        covered.changed_tests()
+    )
 
 
 def test_a_survivor_wants_an_explanation_and_an_explanation_a_survivor() -> None:
