@@ -369,7 +369,11 @@ def traces(
         return np.asarray(factors[..., 1:3] / factors[..., :1], dtype=np.float64)
 
     found = regress_signals([predicted, late, bent, *slopes], measured, mask, figures)
-    (fade, width), (fade_sigma, width_sigma) = figures(found.factors), found.sigma
+    fade, width = figures(found.factors)
+    # What the model does not explain of a removal looks like a little of any signal, however small its scatter is.
+    unexplained_nm = UNEXPLAINED * float(np.sqrt(np.mean(signal**2)) / math.sqrt(MODES))
+    weights = np.diag(np.linalg.pinv(found.terms.T @ found.terms / mask.sum(), hermitian=True))[1:3]
+    fade_sigma, width_sigma = np.hypot(found.sigma, unexplained_nm * np.sqrt(weights))
     return WearIndicators(float(fade), float(fade_sigma), float(width), float(width_sigma))
 
 

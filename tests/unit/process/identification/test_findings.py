@@ -248,6 +248,21 @@ def test_a_pass_that_removes_nothing_uneven_shows_nothing() -> None:
 
 
 @pytest.mark.full
+def test_what_the_model_does_not_explain_limits_what_a_smooth_removal_shows() -> None:
+    y, x = np.mgrid[-14:14.01:0.5, -14:14.01:0.5]
+    mask = np.hypot(x, y) < 12
+    errors = []
+    for period_mm in (30.0, 8.0):
+        removal_nm = 60 + 20 * np.sin(2 * np.pi * x / period_mm) + 10 * np.cos(np.pi * y / period_mm)
+        seen = traces(removal_nm, removal_nm * x / 28, removal_nm, mask, pitch_mm=0.5, spot_mm=0.7)
+        assert seen.width == pytest.approx(0, abs=1e-6)
+        errors.append(seen.width_sigma)
+    smooth, fine = errors
+    assert smooth > 0.3 > 0.05 > fine, (
+        "a spot twice as wide would change the smooth removal by less than the model is off"
+    )
+
+
 @pytest.mark.parametrize("seeds", [12, pytest.param(160, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])])
 def test_how_often_a_good_pass_shows_what_is_not_there(seeds: int) -> None:
     """At limits of 10 %, well below those shipped."""
