@@ -77,7 +77,9 @@ offline_app.add_typer(studies, name="study", no_args_is_help=True)
 @offline_app.command()
 def init(
     *,
-    folder: Annotated[Path, Argument(metavar="DIR", help="Folder of the new cell; it is created if missing")],
+    folder: Annotated[
+        Path, Argument(metavar="DIR", help="Folder of the new cell, created if missing; with --status also CELL.toml")
+    ],
     answers: Annotated[
         Path | None, Option("--from", metavar="ANSWERS.toml", help="File of answers (default: ask at the terminal)")
     ] = None,

@@ -239,7 +239,8 @@ class ProcessSection(ContactKeys):
     (docs/explanation/identification.md): its field over the part, the spot's position and width, compliance, seat."""
     correction: Correction = "exact"
     """Correction of the dwell for the robot's compliance: none, point by point after the solution, by gamma (eq. 49),
-    by gamma to the power `depth_exponent`, or by the spot at the depth of each point."""
+    by gamma to the power `depth_exponent`, or by the spot at the depth of each point. Set `none` unless eq. 44 was
+    measured on this machine (docs/explanation/correction.md)."""
     grid_mm: Annotated[float, Field(ge=0.01, le=20)] = 0.5
     """Pitch of the grid on which the dwell is solved. Use at most half of the raster's step; a coarser grid hides
     ripple of the lines. Time and memory grow with the inverse square of the pitch."""

@@ -14,7 +14,7 @@ import scipy
 from polishd.config.cell_sections import DwellSection
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.dwell import AS_PROGRAMMED, DwellSolution, OptimalityCertificate, Start, WarmStart
-from polishd.model.errors import ComputeError, ProgramError
+from polishd.model.errors import ComputeError, PlanRefused, ProgramError
 from polishd.model.program import Envelope, Program
 from polishd.model.surface import BoolArray, FloatArray
 from polishd.pipeline import precheck
@@ -215,6 +215,15 @@ def solve_tools(
     optimum includes them. ``warm`` is the record of the last solution. Removal models, rounds, choice, cross-check and
     curve combine_effects have ``dwell.cpu_limit_s`` of CPU time; each solve gets the remaining time.
     """
+    try:
+        return _solve_tools(turns, measured, warm)
+    except PlanRefused as error:
+        raise PlanRefused(precheck.doubt_of_heights(measured, turns[0].recipe) + str(error)) from None
+
+
+def _solve_tools(
+    turns: Sequence[ToolProblem], measured: MeasureResult, warm: WarmStart | None
+) -> tuple[SolveResult, ...]:
     recipe = turns[0].recipe
     time_limit = TimeLimit(recipe.dwell.cpu_limit_s)
     for turn in turns:

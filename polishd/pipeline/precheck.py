@@ -25,6 +25,8 @@ from polishd.process.robot import motion
 from polishd.process.robot.compliance import path_compliance
 from polishd.process.toolpath.apertures import PathCoverage, coverage
 
+IMPLAUSIBLE = 10.0
+"""PV of a map in units of ``limits.max_removal_nm``, above which a wrong unit is likelier than such a part."""
 SURE = 0.9
 """Share of the time for the whole volume at the largest rate: an optimum may leave some of the volume."""
 ROOM = 1.2
@@ -108,6 +110,19 @@ def require_removal_time(recipe: Recipe, measured: MeasureResult, answer: Remova
     least = SURE * removal_time_s(measured, answer, lower_s)
     if not least <= recipe.envelope.max_pass_s:
         raise PlanRefused(_too_long(recipe, "what this map wants removed takes at least", least))
+
+
+def doubt_of_heights(measured: MeasureResult, recipe: Recipe) -> str:
+    """Return the advice to check the map's unit and sign first; empty where a pass may remove such heights."""
+    facts, most_nm = measured.facts(), recipe.envelope.max_removal_nm
+    if facts["pv_nm"] <= IMPLAUSIBLE * most_nm:
+        return ""
+    rms_nm, pv_nm = (facts[name] for name in ("rms_nm", "pv_nm"))
+    return (
+        f"the map has an RMS of {rms_nm:.4g} nm and a PV of {pv_nm:.4g} nm in the clear aperture, but one pass may remove "
+        f"{most_nm:g} nm (limits.max_removal_nm). Check the unit and the sign of its heights first (polishd map FILE). "
+        "If they are right: "
+    )
 
 
 def removal_time_s(measured: MeasureResult, answer: RemovalAnswer, lower_s: FloatArray) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,7 @@ from polishd.model.errors import PlanRefused, WrongPart
 from polishd.model.events import PlanWritten
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
-from polishd.pipeline import disk_space, dwell_step, steps
+from polishd.pipeline import disk_space, dwell_step, precheck, steps
 from polishd.pipeline.acceptance import forecast_of, reason_never_acceptable, ripple_notes
 from polishd.pipeline.build_recipe import make_recipes
 from polishd.pipeline.dwell_step import ToolProblem, require_certificate
@@ -30,9 +29,6 @@ from polishd.pipeline.run_folder import RunFolder, read_map
 from polishd.plugin_loader import Hooks
 from polishd.process.metrology.instrument import apply_profile
 from polishd.util.files import require_new, require_writable, unwritable_message
-
-IMPLAUSIBLE = 10.0
-"""PV of a map in units of ``limits.max_removal_nm``, above which a wrong unit is likelier than such a part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +84,7 @@ def plan_part(
     recipe = recipes[0]
     turns = [ToolProblem(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
     measured = steps.condition(recipe, surface)
-    try:
-        passes = _passes(turns, measured, hooks)
-    except PlanRefused as error:
-        raise PlanRefused(_suspect_map(map_path, measured, recipe) + str(error)) from None
+    passes = _passes(turns, measured, hooks)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []
@@ -126,20 +119,9 @@ def _passes(turns: Sequence[ToolProblem], measured: MeasureResult, hooks: Hooks)
         found.append(_Pass(recipe, program, finds, solved, plan, planned))
         finds = steps.expected_removal(recipe, finds, solved.dwell.residual_nm)
     if vetoes:
-        raise PlanRefused("\n".join(["the plan was refused, nothing was written:", *vetoes]))
+        doubt = precheck.doubt_of_heights(measured, turns[0].recipe)
+        raise PlanRefused(doubt + "\n".join(["the plan was refused, nothing was written:", *vetoes]))
     return found
-
-
-def _suspect_map(path: Path, measured: MeasureResult, recipe: Recipe) -> str:
-    """Return the advice to check the map's unit and sign, where its heights are far beyond what a pass may remove."""
-    facts, most_nm = measured.facts(), recipe.envelope.max_removal_nm
-    if facts["pv_nm"] <= IMPLAUSIBLE * most_nm:
-        return ""
-    return (
-        f"{path}: RMS {facts['rms_nm']:.4g} nm, PV {facts['pv_nm']:.4g} nm in the clear aperture, but one pass may "
-        f"remove {most_nm:g} nm (limits.max_removal_nm). Check the unit and the sign of the map's heights first "
-        f"(polishd map {shlex.quote(str(path))}). If they are right: "
-    )
 
 
 def _of_tool(recipe: Recipe) -> str:

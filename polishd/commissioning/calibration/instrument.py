@@ -166,7 +166,7 @@ def _advise(config: CellConfig, profile: InstrumentProfile, *, as_json: bool) ->
     }
     lines = [
         f"poses wanted: {'; '.join(map(str, poses))}",
-        f"they tell all terms up to order {ORDER} to {sigma:.2g} nm, at {noise:g} nm of noise a map, but these:",
+        f"they determine all terms up to order {ORDER} to {sigma:.2g} nm, at {noise:g} nm of noise a map, except:",
         *(f"  {name} needs {what}" for name, what in needs.items()),
         f"next: {command}",
         "the operator then rotates the part, and each new map is taken; or name the maps after the cell",

@@ -221,7 +221,9 @@ def test_a_refused_map_of_another_unit_leads_to_its_unit_first(desk: Desk) -> No
     """A map in um that was read as mm takes decades: a larger limits.max_pass_s is not the cure."""
     desk.recipe = replace(desk.recipe, envelope=replace(desk.recipe.envelope, max_pass_s=3600.0))
     desk.surface = replace(desk.surface, height_nm=1e5 * desk.surface.height_nm)
-    found = r"scan.map: RMS [\d.e+]+ nm, PV [\d.e+]+ nm in the clear aperture, but one pass may remove \d+ nm .*"
+    found = (
+        r"the map has an RMS of [\d.e+]+ nm and a PV of [\d.e+]+ nm in the clear aperture, but .* may remove \d+ nm .*"
+    )
     desk.refused(
         PlanRefused, found + r"Check the unit and the sign .* takes at least \d+ s, more than limits.max_pass_s"
     )
