@@ -119,9 +119,9 @@ def doubt_of_heights(measured: MeasureResult, recipe: Recipe) -> str:
         return ""
     rms_nm, pv_nm = (facts[name] for name in ("rms_nm", "pv_nm"))
     return (
-        f"the map has an RMS of {rms_nm:.4g} nm and a PV of {pv_nm:.4g} nm in the clear aperture, but one pass may remove "
-        f"{most_nm:g} nm (limits.max_removal_nm). Check the unit and the sign of its heights first (polishd map FILE). "
-        "If they are right: "
+        f"the map has an RMS of {rms_nm:.4g} nm and a PV of {pv_nm:.4g} nm in the clear aperture, but one pass may "
+        f"remove {most_nm:g} nm (limits.max_removal_nm). Check the unit and the sign of its heights first "
+        "(polishd map FILE). If they are right: "
     )
 
 
