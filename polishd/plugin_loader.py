@@ -59,11 +59,11 @@ class RefusedPlugin:
 
 def wrong_version(plugin: Any) -> str | None:
     """Check that the plugin states its API version."""
-    said = getattr(plugin, "POLISHD_API", None)
-    if said is None:
+    version = getattr(plugin, "POLISHD_API", None)
+    if version is None:
         return f"it does not state its API version. Add POLISHD_API = {API_VERSION}."
-    if said != API_VERSION or isinstance(said, bool):
-        return f"it was written for API {said!r}, this polishd has API {API_VERSION}. Install a matching version."
+    if version != API_VERSION or isinstance(version, bool):
+        return f"it was written for API {version!r}, this polishd has API {API_VERSION}. Install a matching version."
     return None
 
 

@@ -82,8 +82,8 @@ def free_space(state_dir: Path, run_dir: Path, writes: SpaceNeeded) -> tuple[Fre
 
 def require_room(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> None:
     """HostFault where a pass of so many blocks would fill a disk; an unreadable disk refuses nothing."""
-    if said := disk_full_reason(state_dir, run_dir, blocks, before):
-        raise HostFault(f"{said}; nothing was moved")
+    if reason := disk_full_reason(state_dir, run_dir, blocks, before):
+        raise HostFault(f"{reason}; nothing was moved")
 
 
 def disk_full_reason(state_dir: Path, run_dir: Path, blocks: int, before: int = 0) -> str:
@@ -115,8 +115,8 @@ def pass_words(state_dir: Path, run_dir: Path, blocks: int, passes: int) -> str:
         f"{ROW_BYTES} bytes of journal, {CSV_BYTES} of executed.csv and {ROW_BYTES} of the journal's copy a block: "
         f"{one.state_mb - SPARE_MB:.1f} MB and {one.run_mb - SPARE_MB:.1f} MB for a pass of {blocks}"
     )
-    if said := disk_full_reason(state_dir, run_dir, blocks):
-        return f"{sizes}; run will refuse: {said}"
+    if reason := disk_full_reason(state_dir, run_dir, blocks):
+        return f"{sizes}; run will refuse: {reason}"
     journal_mb = passes * blocks * ROW_BYTES / MB
     rest_mb = all_of_them.run_mb - SPARE_MB + (passes - 1) * blocks * CSV_BYTES / MB
     return f"{sizes}; {journal_mb + rest_mb:.0f} MB for all {passes} passes of the job"

@@ -83,14 +83,14 @@ def pass_words(recipe: Recipe, program: Program, answer: RemovalAnswer) -> str:
 
 def tolerance_words(recipe: Recipe, answer: RemovalAnswer) -> str:
     """Describe each line of the tolerance with its limit, and the lines that this spot cannot correct."""
-    said = [f"{line.what} <= {line.limit:g} {line.unit}" for line in recipe.lines]
+    parts = [f"{line.what} <= {line.limit:g} {line.unit}" for line in recipe.lines]
     if answer.transfer is not None:
         cutoff = answer.transfer.cutoff_period_mm
-        said += [
+        parts += [
             f"{line.what} can only be left as it is: this spot corrects no period below {cutoff:.2f} mm"
             for line in lines_below_cutoff(recipe.lines, cutoff)
         ]
-    return "; ".join(said)
+    return "; ".join(parts)
 
 
 def require_path_time(recipe: Recipe, program: Program) -> None:
@@ -200,10 +200,10 @@ def _names_of_controller(recipe: Recipe, program: Program) -> bytes:
 
 def require_fit(config: CellConfig, recipe: Recipe, program: Program) -> str:
     """Describe the coverage of the program; ConfigError where it belongs to another part."""
-    said, problem = judged(recipe, program, config.program.coverage)
+    described, problem = judged(recipe, program, config.program.coverage)
     if problem:
-        raise config.error("program.path", f"{said}{problem}")
-    return said
+        raise config.error("program.path", f"{described}{problem}")
+    return described
 
 
 def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
@@ -212,18 +212,18 @@ def judged(recipe: Recipe, program: Program, covers: Covers) -> tuple[str, str]:
     ``zone``: the program leaves some of the clear aperture on purpose.
     """
     found = program_coverage(recipe, program)
-    said = (
+    described = (
         f"{program.name} reaches {found.reach_mm:.1f} mm from the part's center, the part is {recipe.outline}; "
         f"the program leaves out {100 * found.unreachable:.1f} % of the clear aperture"
     )
     advice = "name the program of this part, or correct the part's outline ([part]) or program.offset_mm"
     if found.outside > MOST_OUTSIDE:
         away = f"{100 * found.outside:.0f} % of its path lies more than {LANDING_MM:g} mm beyond the part's rim"
-        return said, f", and {away}: {advice}"
+        return described, f", and {away}: {advice}"
     if found.unreachable > MOST_UNREACHED and covers == "aperture":
         zone = 'use closer lines where it leaves gaps; for a program of a zone only, set program.coverage = "zone"'
-        return said, f": {advice}; {zone}"
-    return said, ""
+        return described, f": {advice}; {zone}"
+    return described, ""
 
 
 def program_coverage(recipe: Recipe, program: Program) -> PathCoverage:

@@ -50,8 +50,8 @@ class _Pass:
 
     def notes(self, covers: Covers) -> list[str]:
         """Notes for people."""
-        said, misfit = judged(self.recipe, self.program, covers)
-        found = [f"check will refuse: {said}{misfit}"] if misfit else []
+        described, misfit = judged(self.recipe, self.program, covers)
+        found = [f"check will refuse: {described}{misfit}"] if misfit else []
         found += [*self.program.warnings, *steps.violations(self.recipe, self.plan), *self.solved.answer.notes]
         side_mm = max(self.measured.grid.shape) * self.measured.grid.pitch_mm
         found += ripple_notes(self.recipe.lines, self.planned.ripple, side_mm, self.solved.answer.acting)

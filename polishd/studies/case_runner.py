@@ -214,8 +214,8 @@ def _row(scenario: Scenario, runs: Sequence[ClosedLoopResult]) -> LoopRow:
     true_nm = median(run.true_rms_nm[-1] if run.true_rms_nm else never for run in runs)
     first = [run.rms_nm[1] for run in runs if len(run.rms_nm) > 1]
     came, began = [one for run in runs for one in run.came_nm], [run.came_nm[0] for run in runs if run.came_nm]
-    said = [tuple(sorted(set(run.named) - set(scenario.also))) for run in runs]
-    right = [set(names) <= set(scenario.named) and bool(names) == bool(scenario.named) for names in said]
+    named = [tuple(sorted(set(run.named) - set(scenario.also))) for run in runs]
+    right = [set(names) <= set(scenario.named) and bool(names) == bool(scenario.named) for names in named]
     return LoopRow(
         scenario=runs[0].scenario,
         loop=runs[0].loop,
@@ -226,7 +226,7 @@ def _row(scenario: Scenario, runs: Sequence[ClosedLoopResult]) -> LoopRow:
         first_pass_nm_median=median(first) if first else None,
         false_accepts=sum(run.falsely_accepted for run in runs),
         named_rightly=sum(right),
-        named=dict(Counter("+".join(names) or AS_IT_IS for names in said)),
+        named=dict(Counter("+".join(names) or AS_IT_IS for names in named)),
         forecasts=len(came),
         held=_held(came),
         first_forecasts=len(began),
