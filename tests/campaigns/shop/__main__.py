@@ -38,14 +38,14 @@ def table(rows: list[dict[str, Any]]) -> str:
     back = sum(row["given_back"] for row in rows)
     lines = [
         ("parts through the shop", f"{sums['parts']}: {', '.join(f'{n} {how}' for how, n in verdicts.most_common())}"),
-        ("cells, sittings, hours", f"{len(CELLS)}, {len(rows)}, {hours:.2f}"),
+        ("cells, sessions, hours", f"{len(CELLS)}, {len(rows)}, {hours:.2f}"),
         ("kill -9", ", ".join(f"{n} of a {who}" for who, n in kills.most_common())),
-        ("passes, of them torn off", f"{sums['passes']}, {sums['torn']}"),
+        ("passes, of them interrupted", f"{sums['passes']}, {sums['torn']}"),
         ("events of the journals at the shop", f"{sums['events']}"),
         ("parts wanted back while a cell had them, given back", f"{sums['releases']}, {back}"),
         ("times that a person had to resume a cell", f"{sums['resumed']}"),
         ("polished in two cells, passes lost or twice, events lost or twice, parts lost", f"{len(wrong)}"),
-        ("last sitting", f"{rows[-1]['date']}, sources {rows[-1]['of']}"),
+        ("last session", f"{rows[-1]['date']}, sources {rows[-1]['of']}"),
     ]
     return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in lines), ""])
 
@@ -58,7 +58,7 @@ def main() -> int:
     parse.add_argument("--minutes", type=float, default=1e9, help="after which what was begun is ended")
     parse.add_argument("--seed", type=int, default=1, help="another one needs another --folder")
     parse.add_argument("--speed", type=float, default=SPEED, help="of the simulated clock")
-    parse.add_argument("--folder", type=Path, default=FOLDER, help="where all is kept between sittings")
+    parse.add_argument("--folder", type=Path, default=FOLDER, help="where all is kept between sessions")
     options = parse.parse_args()
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)

@@ -34,7 +34,7 @@ def test_the_page_has_the_sums_of_all_sittings() -> None:
     text = table([ROW, {**ROW, "verdicts": {"accepted": 1, "set aside": 1}, "wrong": ["lost"]}])
     assert "| parts through the shop | 4: 3 accepted, 1 set aside |" in text
     assert "| kill -9 | 4 of a daemon, 2 of a shop |" in text
-    assert "| passes, of them torn off | 6, 2 |" in text
+    assert "| passes, of them interrupted | 6, 2 |" in text
     assert "parts lost | 1 |" in text
 
 
