@@ -66,7 +66,7 @@ def test_seeds_add_up_and_older_lines_go_once_there_are_as_many_replies(
         Results(tmp_path / "replies.jsonl"),
         {**dict.fromkeys(COUNTS, 0), "broken": 10, "late": 2, "values": 7},
     )
-    monkeypatch.setattr(results_module.beside, "sources", lambda names: "before")
+    monkeypatch.setattr(results_module.result_files, "sources", lambda names: "before")
     results.add("monitor", counted)
     results.add("monitor", counted)
     monkeypatch.undo()

@@ -50,7 +50,7 @@ class Op:
 
 
 def marked(marks: Path, *command: object) -> list[str]:
-    """The command line of ``crash.marked``."""
+    """The command line of ``crash.recorded_process``."""
     return [sys.executable, "-m", "tests.campaigns.crash.recorded_process", str(marks), *map(str, command)]
 
 
@@ -60,7 +60,7 @@ def traced(account: Path, command: Sequence[str]) -> list[str]:
 
 
 def recorded(folder: Path, what: str = "script", weak: str = "") -> list[Op]:
-    """The journal's own methods, on ``folder/state``: see ``crash.marked``."""
+    """The journal's own methods, on ``folder/state``: see ``crash.recorded_process``."""
     marks, account = folder / MARKS, folder / "account"
     command = traced(account, marked(marks, what, folder / "state"))
     sizes = {name: len(data) for name, data in files_in(folder).items()}
