@@ -344,7 +344,8 @@ def traces(
     """Fit both by least squares with rate, shift and plane: ``measured = rate (predicted + fade late + width s^2 L)``.
 
     A slightly wider spot smooths its removal like diffusion: L is the prediction's Laplacian. All maps are smoothed by
-    the spot's size first, because shorter periods are noise and raster ripple, which depends on the grid.
+    the spot's size first, because shorter periods are noise and raster ripple, which depends on the grid. The standard
+    errors contain the scatter over tiles, the drift between maps, and what the model does not explain of a removal.
 
     Args:
         predicted_nm: (ny, nx) removal predicted of what was executed, positive = removed; also beside the mask.

@@ -34,7 +34,6 @@ const ctx = {
   session: () => known.session, // { name, role, csrf }
   state: () => known.state, // the last state: { daemon, age_s, live, ending? }
   link, // "up", "silent", "none" or "page" (no connection to the page's server)
-  stateMs: () => known.stateMs, // performance.now() of the last state
   cell: () => known.cell, // name of the cell
   job: () => known.jobs.at(-1)?.number ?? null, // number of the last job
   jobs: () => known.jobs, // rows of /api/jobs

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import simulated_cell, with_values
-from polishd.model.errors import LinkError
 from tests.campaigns.crash.killed_daemon import WHERE
 from tests.campaigns.site import EXTENDED, LOOK_S, Site
 from tests.system.cell_rig import with_keys, write_small
@@ -42,8 +41,6 @@ STANDS_S = 0.05
 """Longest that a tool may stand on the part where motion goes on: a corner at which the robot turns."""
 CLAIMED = re.compile(r": touched in (\S+) s; the plant saw (\S+) s$")
 """A contradiction that costs no block twice: the journal has a contact that was none."""
-STARTS = 3
-"""At most so many for the end of a job: the limits of ``QUICK`` are shorter than a busy machine's pauses may be."""
 NEVER = 3.0
 """So long an attack may have no effect."""
 
@@ -194,7 +191,7 @@ class Campaign:
         time.sleep(LOOK_S)
 
     def finish(self) -> None:
-        """To the end of the job, undisturbed; a start is tried again where a device's link fails on a busy machine."""
+        """To the end of the job, undisturbed: one start must do."""
         end = Attack("end", Campaign.finish, 0)
         self._attacks.append((time.monotonic(), end))
         journal = self.site.journal()
@@ -202,13 +199,10 @@ class Campaign:
         ((done,),) = journal.execute("SELECT count(*) FROM pass WHERE job = ? AND how = 'done'", (job,)).fetchall()
         journal.close()
         self.site.change(max_cycles=done + 1)
-        for _ in range(STARTS):
-            self.site.start()
-            self.begin()
-            assert self.site.process is not None
-            code = self.site.process.wait(SOON_S)
-            if code != LinkError.exit_code:
-                break
+        self.site.start()
+        self.begin()
+        assert self.site.process is not None
+        code = self.site.process.wait(SOON_S)
         if code not in {0, 1, 6} or self.site.job_under_way():
             self.count.wrong("stuck", f"after attack {self._number} the job does not end: exit code {code}")
         self.count.finished += 1
