@@ -1,6 +1,6 @@
 """``make mutate``: a test detects each small fault in the safety-relevant modules, or an explanation is given.
 
-Goes on where an earlier sitting ended: a mutant is tried again where its module changed, the test that killed it, or,
+Goes on where an earlier session ended: a mutant is tried again where its module changed, the test that killed it, or,
 of a survivor, any test of it.
 """
 
@@ -73,14 +73,14 @@ class Tests:
 
 
 class Campaign:
-    """One sitting of the campaign."""
+    """One session of the campaign."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
         self.until_s = time.monotonic() + 60 * options.minutes
         self.tests = Tests()
         self.kept = kept.Kept()
-        self.kept.sit(self.tests.files)
+        self.kept.begin_session(self.tests.files)
         self.modules = {name: Module(str(ROOT / name), (ROOT / name).read_text()) for name in self.names}
         self.tried = 0
 
@@ -126,7 +126,7 @@ class Campaign:
             say(f"survived: {mutant.path}:{mutant.lines[-1]}: {mutant.key}")
         if self.tried % 20 == 0:
             self.kept.save()
-            say(f"mutate: {self.tried} tried in this sitting")
+            say(f"mutate: {self.tried} tried in this session")
 
     def _run(self, work: Work, *, at_import: bool) -> None:
         """Try all mutants whose end is unknown, after a check that a module without a fault survives."""
@@ -171,7 +171,7 @@ def main() -> int:
     """Run the campaign and return the exit code: 1 where a surviving mutant has no explanation."""
     parse = argparse.ArgumentParser(prog="make mutate", description=__doc__)
     parse.add_argument("modules", nargs="*", help="those with such a name; default: all")
-    parse.add_argument("--minutes", type=float, default=1e9, help="of this sitting; what was begun is ended")
+    parse.add_argument("--minutes", type=float, default=1e9, help="of this session; what was begun is ended")
     parse.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parse.add_argument("--seconds", type=float, default=SECONDS, help="of tests for each mutant, the quickest ones")
     parse.add_argument("--again", action="store_true", help="try survivors again, whatever is known of them")

@@ -40,18 +40,18 @@ class Kept:
         self._path = folder / "results.json"
         kept = json.loads(self._path.read_text()) if self._path.exists() else {}
         self._modules: dict[str, Any] = kept.get("modules", {})
-        self._sittings: list[dict[str, str]] = kept.get("sittings", [])
-        """Hashes of all test files in each sitting."""
+        self._sessions: list[dict[str, str]] = kept.get("sessions", [])
+        """Hashes of all test files in each session."""
         for name in MODULES:
             if self._modules.get(name, {}).get("of") != content_of([name]):
                 self._modules[name] = {"of": content_of([name]), "mutants": {}}
 
-    def sit(self, files: Iterable[str]) -> None:
-        """Begin a sitting with these test files."""
+    def begin_session(self, files: Iterable[str]) -> None:
+        """Begin a session with these test files."""
         now = {name: content_of([name]) for name in files}
         now[HELPERS] = content_of(sorted(str(path.relative_to(ROOT)) for one in SHARED for path in ROOT.glob(one)))
-        if not self._sittings or self._sittings[-1] != now:
-            self._sittings.append(now)
+        if not self._sessions or self._sessions[-1] != now:
+            self._sessions.append(now)
 
     def still_to_run(self, mutant: Mutant, tests: Sequence[str], *, again: bool = False) -> Sequence[str] | None:
         """Return the tests that may change the mutant's result; None where its end is known.
@@ -59,10 +59,10 @@ class Kept:
         ``again``: try survivors again.
         """
         known = self.of(mutant)
-        now = self._sittings[-1]
+        now = self._sessions[-1]
         if known is None:
             return tests
-        then = self._sittings[known["sitting"]]
+        then = self._sessions[known["session"]]
         same = {name for name in now if then.get(name) == now[name]}
         if known["end"] != SURVIVED:
             return None if known["by"].partition("::")[0] in same or "::" not in known["by"] else tests
@@ -78,11 +78,11 @@ class Kept:
     def add(self, mutant: Mutant, end: str, by: str) -> None:
         """Add the end of a mutant and the test that ended it."""
         name = str(Path(mutant.path).relative_to(ROOT))
-        self._modules[name]["mutants"][mutant.key] = {"end": end, "by": by, "sitting": len(self._sittings) - 1}
+        self._modules[name]["mutants"][mutant.key] = {"end": end, "by": by, "session": len(self._sessions) - 1}
 
     def save(self) -> None:
-        """Save the results for the next sitting."""
-        kept = {"modules": self._modules, "sittings": self._sittings}
+        """Save the results for the next session."""
+        kept = {"modules": self._modules, "sessions": self._sessions}
         temporary = self._path.with_suffix(".new")
         temporary.write_text(json.dumps(kept, indent=1))
         temporary.replace(self._path)

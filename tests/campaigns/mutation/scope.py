@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[3]
 PARTS = ("state_machine", "journal", "recovery", "safety")
 KEPT = ROOT / "build" / "mutation"
-"""Folder of the results that are kept between sittings."""
+"""Folder of the results that are kept between sessions."""
 
 _SCOPE = tomllib.loads(Path(__file__).with_name("scope.toml").read_text())
 

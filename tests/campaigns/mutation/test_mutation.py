@@ -155,18 +155,18 @@ def test_only_what_a_changed_test_may_say_otherwise_is_tried_again(
     mutant = next(Module(str(ROOT / MODULES[0]), "x = [1, 2, 3]").mutants())
     tests = ["t.py::a", "u.py::b"]
     results = Kept(tmp_path)
-    results.sit(hashes)
+    results.begin_session(hashes)
     assert results.still_to_run(mutant, tests) == tests
     results.add(mutant, SURVIVED, "")
     assert results.still_to_run(mutant, tests) is None
     hashes["u.py"] = "2"
-    results.sit(hashes)
+    results.begin_session(hashes)
     assert results.still_to_run(mutant, tests) == ["u.py::b"]
     results.add(mutant, KILLED, "u.py::b")
     results.save()
     again = Kept(tmp_path)
-    again.sit(hashes)
+    again.begin_session(hashes)
     assert again.still_to_run(mutant, tests) is None
     hashes["u.py"] = "3"
-    again.sit(hashes)
+    again.begin_session(hashes)
     assert again.still_to_run(mutant, tests) == tests

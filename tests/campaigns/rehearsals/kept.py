@@ -30,7 +30,7 @@ def of_cell(name: str) -> str:
 
 
 class Kept:
-    """The results of all sittings."""
+    """The results of all sessions."""
 
     def __init__(self, folder: Path = DATA) -> None:
         self._path = folder / "rehearsals.jsonl"

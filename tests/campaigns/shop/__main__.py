@@ -1,4 +1,4 @@
-"""``make shop-campaign``: polish parts with three daemons and a shop that are killed at random, in sittings."""
+"""``make shop-campaign``: polish parts with three daemons and a shop that are killed at random, in sessions."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from typing import Any
 
 from polishd.model.errors import PolishdError
 from tests.campaigns import result_files
-from tests.campaigns.shop.sitting import CELLS, Sitting
+from tests.campaigns.shop.session import CELLS, Session
 from tests.system.sim_rig import ROOT
 
 FOLDER = ROOT / "build" / "shop"
 PAGE = ROOT / "docs" / "reference" / "results.md"
 BEGIN, END = "<!-- written by make shop-campaign -->\n", "<!-- end of it -->\n"
-PARTS, SITTING, SPEED = 300, 30, 40.0
+PARTS, SESSION, SPEED = 300, 30, 40.0
 OF = ("polishd/shop", "polishd/daemon", "polishd/web/http")
 """Sources on which the results depend."""
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Return the table of the page: the sums of all sittings."""
+    """Return the table of the page: the sums of all sessions."""
     sums = {key: sum(row[key] for row in rows) for key in ("parts", "passes", "torn", "events", "releases", "resumed")}
     kills, verdicts = Counter[str](), Counter[str]()
     for row in rows:
@@ -54,7 +54,7 @@ def main() -> int:
     """Run the campaign and return the exit code: 1 where anything was wrong."""
     parse = argparse.ArgumentParser(prog="make shop-campaign", description=__doc__)
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
-    parse.add_argument("--sitting", type=int, default=SITTING, help="parts of one sitting")
+    parse.add_argument("--session", type=int, default=SESSION, help="parts of one session")
     parse.add_argument("--minutes", type=float, default=1e9, help="after which what was begun is ended")
     parse.add_argument("--seed", type=int, default=1, help="another one needs another --folder")
     parse.add_argument("--speed", type=float, default=SPEED, help="of the simulated clock")
@@ -62,17 +62,17 @@ def main() -> int:
     options = parse.parse_args()
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    kept, until_s = folder / "sittings.jsonl", time.monotonic() + 60 * options.minutes
+    kept, until_s = folder / "sessions.jsonl", time.monotonic() + 60 * options.minutes
     rows = result_files.read(kept)
     stopping: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: stopping.append(number))
     while (done := sum(row["parts"] for row in rows)) < options.parts and time.monotonic() < until_s and not stopping:
-        count = min(options.sitting, options.parts - done)
+        count = min(options.session, options.parts - done)
         try:
-            sitting = Sitting(folder, options.seed, len(rows), options.speed)
-            came = sitting.run(count, lambda: bool(stopping) or time.monotonic() > until_s, say)
+            session = Session(folder, options.seed, len(rows), options.speed)
+            came = session.run(count, lambda: bool(stopping) or time.monotonic() > until_s, say)
         except PolishdError as error:  # before any part was added: the machine is too busy for a simulator to come up
-            say(f"the sitting did not begin: {error}")
+            say(f"the session did not begin: {error}")
             continue
         rows.append(
             {**asdict(came), "date": result_files.today(), "of": result_files.sources(OF), "seed": options.seed}

@@ -1,4 +1,4 @@
-"""``make soak``: polish parts through the queue of simulated cells and add them to those of earlier sittings."""
+"""``make soak``: polish parts through the queue of simulated cells and add them to those of earlier sessions."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from tests.campaigns.soak.figures import Figures, life_table, table, write_page
 from tests.campaigns.soak.parts import Part, drawn
 from tests.campaigns.soak.records import Record
 from tests.campaigns.soak.scripts import LIVED, SCRIPTS, Script
-from tests.campaigns.soak.sitting import work
+from tests.campaigns.soak.session import work
 from tests.system.sim_rig import ROOT
 
 FOLDER = ROOT / "build" / "soak"
-PARTS, SITTING = 931, 40
+PARTS, SESSION = 931, 40
 SPEED = 20.0
 """Highest speed: above it a force sample (each 50 ms of wall time) covers too much of a pass."""
 NAMED = {script.name: script for script in SCRIPTS}
@@ -33,28 +33,28 @@ EVIDENCE = 40
 
 
 class Soak:
-    """Parallel sittings with their results."""
+    """Parallel sessions with their results."""
 
     def __init__(self, figures: Figures, folder: Path, until_s: float, only: Sequence[Script] = ()) -> None:
         self._figures, self._folder, self._until_s, self._only = figures, folder, until_s, only
         self._turn = threading.Lock()
         self.wrong: list[str] = []
-        """Failures of sittings that concern no part."""
+        """Failures of sessions that concern no part."""
 
-    def run(self, parts: int, cells: int, sitting: int = SITTING) -> None:
+    def run(self, parts: int, cells: int, session: int = SESSION) -> None:
         """Polish those of the first ``parts`` that are not done."""
         done = self._figures.done
-        blocks = [[n for n in range(first, min(first + sitting, parts)) if n not in done]
-                  for first in range(0, parts, sitting)]  # fmt: skip
+        blocks = [[n for n in range(first, min(first + session, parts)) if n not in done]
+                  for first in range(0, parts, session)]  # fmt: skip
         with ThreadPoolExecutor(cells) as pool:
-            for wrong in pool.map(self._sit, filter(None, blocks)):
+            for wrong in pool.map(self._run_session, filter(None, blocks)):
                 self.wrong += wrong
 
     def leave(self, *_: object) -> None:
         """Complete the parts under way and begin no others."""
         self._until_s = 0.0
 
-    def _sit(self, numbers: list[int]) -> list[str]:
+    def _run_session(self, numbers: list[int]) -> list[str]:
         if time.monotonic() > self._until_s:
             return []
         figures = self._figures
@@ -83,7 +83,7 @@ class Soak:
 
     def _keep_evidence(self, record: Record, cell: SoakCell) -> None:
         """Keep the files that are needed to find the cause of a failure."""
-        folder = self._folder / "evidence" / f"{record.part}-{record.sitting}"
+        folder = self._folder / "evidence" / f"{record.part}-{record.session}"
         if folder.parent.exists() and len(list(folder.parent.iterdir())) >= EVIDENCE:
             return
         folder.mkdir(parents=True, exist_ok=True)
@@ -114,7 +114,7 @@ def main() -> int:
     parse.add_argument("--parts", type=int, default=PARTS, help="in all")
     parse.add_argument("--life", type=int, default=0, help="instead: so many through one life of a daemon; what grows")
     parse.add_argument("--seed", type=int, default=1, help="another one draws other parts, and begins anew")
-    parse.add_argument("--minutes", type=float, default=1e9, help="of this sitting; what was begun is ended")
+    parse.add_argument("--minutes", type=float, default=1e9, help="of this session; what was begun is ended")
     parse.add_argument("--cells", type=int, default=1, help="side by side")
     parse.add_argument("--speed", type=float, default=SPEED, help="of the simulated clock; another one begins anew")
     parse.add_argument("--only", nargs="+", default=[], choices=list(NAMED), help="faults of the parts, in this order")
@@ -139,7 +139,7 @@ def main() -> int:
         write_page(text, life=life)
     if not options.json:
         print(text)
-    found = {**sums.summary(), "sittings_wrong": soak.wrong, "seed": figures.seed, "of": figures.of}
+    found = {**sums.summary(), "sessions_wrong": soak.wrong, "seed": figures.seed, "of": figures.of}
     print(json.dumps(found))
     return int(bool(found["wrong"] or soak.wrong))
 

@@ -196,7 +196,7 @@ class Sums:
 
 
 HEAD = """\
-| what befell the part | drawn | should end | parts | ended so | visits |
+| fault | drawn | should end | parts | ended so | visits |
 |---|---|---|---|---|---|
 """
 
@@ -225,15 +225,15 @@ def _counts(sums: Sums) -> list[tuple[str, object]]:
     outside = f"{len(sums.outside_nm)} of {len(sums.accepted)}"
     outside += f", by {sums.outside_nm[-1]:.3f} nm at most" if sums.outside_nm else ""
     verdicts = Counter(record["verdict"] or "none" for record in sums.counted)
-    sittings, lives = ({record[name] for record in sums.all} for name in ("sitting", "life"))
+    sessions, lives = ({record[name] for record in sums.all} for name in ("session", "life"))
     visits = sum(record["visits"] for record in sums.counted)
     unexpected = sum(len(record["unexpected"]) for record in sums.counted)
     return [
         ("parts through the queue", f"{len(sums.all):,}"),
-        ("... not counted: the machine was too slow, a device seemed silent", sum(r["too_slow"] for r in sums.all)),
-        ("... not counted: what was to befall it in contact came too late", sum(r["missed"] for r in sums.all)),
+        ("... not counted: the machine was too slow, and a device seemed silent", sum(r["too_slow"] for r in sums.all)),
+        ("... not counted: the fault came after contact", sum(r["missed"] for r in sums.all)),
         ("... how they ended", ", ".join(f"{how} {n}" for how, n in verdicts.most_common())),
-        ("sittings, starts of the daemon", f"{len(sittings)}, {len(lives)}"),
+        ("sessions, starts of the daemon", f"{len(sessions)}, {len(lives)}"),
         ("parts with nothing, or with faults that polishd can recover from", len(sums.without)),
         ("**... accepted without a person**", alone),
         ("accepted, and the true surface is out of tolerance", outside),

@@ -1,4 +1,4 @@
-"""Parts of a sitting that are under way, or have ended and are not judged yet, and how they are judged."""
+"""Parts of a session that are under way, or have ended and are not judged yet, and how they are judged."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Under:
 
 
 class Ledger:
-    """Ledger of one sitting. The plant writes a part's true surface once another part is seated."""
+    """Ledger of one session. The plant writes a part's true surface once another part is seated."""
 
-    def __init__(self, cell: SoakCell, sitting: str, keep: Keep) -> None:
+    def __init__(self, cell: SoakCell, session: str, keep: Keep) -> None:
         self.open: list[Under] = []
         """Parts in the order in which they began."""
-        self._cell, self._sitting, self._keep = cell, sitting, keep
+        self._cell, self._session, self._keep = cell, session, keep
         self._life = self._age = 0
         self._used: Counter[str] = Counter()
         self._written_mb = 0.0
@@ -56,7 +56,7 @@ class Ledger:
 
     def begin(self, part: Part) -> Under:
         """Open the record of a part whose job is added now, or is next."""
-        record = Record(part.number, part.name, part.script.name, self._sitting, tolerance_nm=part.tolerance_nm)
+        record = Record(part.number, part.name, part.script.name, self._session, tolerance_nm=part.tolerance_nm)
         under = Under(part, record, deque(part.script.visits), time.monotonic())
         for earlier in self.open:
             earlier.until_s = min(earlier.until_s, under.began_s)
@@ -72,7 +72,7 @@ class Ledger:
         self._used = total
         record.wall_s, record.late_s = round(row.took_s or 0.0, 3), round(cell.meter.late_s, 3)
         cell.meter.late_s = 0.0
-        record.life, record.age, self._age = f"{self._sitting}/{self._life}", self._age, self._age + 1
+        record.life, record.age, self._age = f"{self._session}/{self._life}", self._age, self._age + 1
         record.held = self._held()
         for earlier in [one for one in self.open if one is not under and not one.expected]:
             kept = self._kept(earlier.part.name)

@@ -16,7 +16,7 @@ class Record:
     number: int
     part: str
     script: str
-    sitting: str
+    session: str
     life: str = ""
     """Identification of the daemon process that ended the part."""
     age: int = 0

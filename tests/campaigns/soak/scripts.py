@@ -95,7 +95,8 @@ RECOVERED = (
     Script("another part's map first", 2.0, {"interferometer.faults": {"wrong_part_first": True}}),
     Script("instrument takes 3 s to write", 2.0, {"interferometer": {"write_s": 3.0}}),
     Script("daemon stopped for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("daemon", 0.3)),
-    Script("robot stopped for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.3)),
+    # A robot without progress for about 0.3 s ends contact: 0.1 s must not, 1 s must.
+    Script("robot stands for 0.1 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.1)),
     Script("daemon killed between jobs", 2.0, {}, "between jobs", SoakCell.kill_daemon, restarts=1),
 )
 """Scripts that polishd completes alone."""
@@ -149,6 +150,16 @@ BY_A_PERSON = (
         lambda cell: cell.cut("robot"),
         end=ASIDE,
         faults=("LinkError",),
+        after=(AWAY,),
+    ),
+    Script(
+        "robot stands for 1 s",
+        1.5,
+        {},
+        "in contact",
+        lambda cell: cell.pause("robot", 1.0),
+        end=ASIDE,
+        faults=("SafetyStop",),
         after=(AWAY,),
     ),
     Script(

@@ -1,4 +1,4 @@
-"""Run a sitting: three simulated cells and their shop polish further parts while processes are killed at random."""
+"""Run a session: three simulated cells and their shop polish further parts while processes are killed at random."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.system.sim_rig import wait_for
 CELLS = ("north", "south", "west")
 LOOK_S = 0.25
 PART_S = 120.0
-"""Time limit of a sitting for each of its parts, and twice that for the start."""
+"""Time limit of a session for each of its parts, and twice that for the start."""
 LOOKS = 5
 """Number of comparisons with the journals while these still grow."""
 PATIENCE = 6
@@ -31,9 +31,9 @@ PATIENCE = 6
 
 @dataclass(slots=True)
 class Came:
-    """Result of a sitting."""
+    """Result of a session."""
 
-    sitting: int
+    session: int
     parts: int
     verdicts: dict[str, int] = field(default_factory=dict)
     passes: int = 0
@@ -48,8 +48,8 @@ class Came:
     wrong: list[str] = field(default_factory=list)
 
 
-class Sitting:
-    """Sitting in the folder of the campaign, where shop and journals stay from sitting to sitting."""
+class Session:
+    """Session in the folder of the campaign, where shop and journals stay from session to session."""
 
     def __init__(self, folder: Path, seed: int, number: int, speed: float) -> None:
         self._folder, self._seed, self._number, self._speed = folder, seed, number, speed
@@ -126,7 +126,7 @@ class Sitting:
         """Remove the parts that no cell has claimed."""
         with Database.open(self._shop.folder / "state") as database, database.transaction() as sql:
             for row in sql.rows("SELECT job FROM part WHERE state = 'waiting'"):
-                parts.remove(sql, row["job"], "the campaign", "the sitting ends")
+                parts.remove(sql, row["job"], "the campaign", "the session ends")
 
     def _visit(self, cell: ShopCell) -> None:
         """Resume a held cell, as an operator does; set a job aside that is held repeatedly."""

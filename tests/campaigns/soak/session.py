@@ -1,4 +1,4 @@
-"""Run a sitting: one simulated cell and one daemon for many parts, each with its script."""
+"""Run a session: one simulated cell and one daemon for many parts, each with its script."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from tests.campaigns.soak.parts import Part
 
 LOOK_S = 0.1
 MIRRORED = 1 / 3
-"""Share of sittings in which a mirrored instrument measures the artefact first."""
+"""Share of sessions in which a mirrored instrument measures the artefact first."""
 GROUP = 3
 """Number of parts without a fault that are added at once."""
 PART_S = 300.0
 """Time limit of a part."""
 PATIENCE = 4
-"""Unexpected visits after which the operator removes a part; the sitting ends after twice as many."""
+"""Unexpected visits after which the operator removes a part; the session ends after twice as many."""
 STRIKES_S = 0.4
 """Longest time from landing to the fault; a pass takes four times as long."""
 
 
 class Stuck(Exception):
-    """The sitting cannot continue."""
+    """The session cannot continue."""
 
 
-class Sitting:
+class Session:
     """Polish parts in groups, and act as failures, as the operator and as systemd do."""
 
     def __init__(self, cell: SoakCell, name: str, seed: int, keep: Keep) -> None:
@@ -64,7 +64,7 @@ class Sitting:
         self._add(group)
         self._follow(under, landed)
         for part in group[1:]:
-            self._follow(self._ledger.begin(part), 0)  # nothing befalls it
+            self._follow(self._ledger.begin(part), 0)  # without a fault
         self._between()
         self._ledger.open[-1].expected.extend(group[-1].script.after)
 
@@ -201,11 +201,11 @@ def grouped(parts: Sequence[Part]) -> Iterator[list[Part]]:
 def work(
     folder: Path, name: str, seed: int, speed: float, parts: Sequence[Part], until_s: Callable[[], float], keep: Keep
 ) -> list[str]:
-    """Run a sitting in that folder and return the failures that concern no part."""
+    """Run a session in that folder and return the failures that concern no part."""
     mirrored = random.Random(f"{seed} {parts[0].number}").random() < MIRRORED
     with running_cell(folder, seed + parts[0].number, speed) as cell:
         wrong = prove_instrument(cell, mirrored=mirrored)
-        Sitting(cell, name, seed, keep).run(parts, until_s)
+        Session(cell, name, seed, keep).run(parts, until_s)
     return wrong
 
 
