@@ -40,6 +40,8 @@ QUICK = {
 """Real time: longer than a busy machine keeps a process waiting, short enough for a fault to cost seconds only."""
 REPEATABILITY_NM = 0.3
 """Stated in the instrument's profile; it is the noise of the simulated maps."""
+DEPTH = {"effects": {"eq_44": [1.0, 1.0]}}
+"""Depth as the plan has it. Drawn between none and eq. 44, a first part is removed up to 20 % deeper than planned."""
 
 
 class Row(NamedTuple):
@@ -187,7 +189,7 @@ def write_cell(folder: Path) -> DemoFiles:
     cell += f'\n[loader]\ntype = "loader_line"\naddress = "tcp://127.0.0.1:{port}"\n'
     files.cell.write_text(with_keys(with_values(cell, {"dwell": {"cross_check": ""}}), QUICK))
     sim = with_faults(files.sim.read_text()) + "\n[loader.faults]\n"
-    files.sim.write_text(sim)
+    files.sim.write_text(with_keys(sim, DEPTH))
     profile = files.profile.read_text().partition("\n[commissioned]")[
         0
     ]  # tests may forge it; here the instrument is commissioned
