@@ -12,7 +12,7 @@ from polishd.daemon.queue.queue import Queue
 from polishd.daemon.queue.requests import QueueRequests
 from polishd.daemon.socket import client
 from polishd.model.errors import NoDaemon
-from polishd.plugin_loader import load_cell
+from polishd.plugin_loader import load_cell, plugins_of
 from polishd.rendering.terminal import emit, record_table, utc_minute
 from polishd.util.command_line import terminal_user
 from polishd.util.threads import run_loop
@@ -56,7 +56,7 @@ def _request(config: CellConfig, verb: str, **arguments: Any) -> Mapping[str, An
         reply = client.request(config.state_dir, verb, args=arguments)
     except NoDaemon:
         with Queue.at_rest(config.state_dir) as queue:
-            return run_loop(_handle_at_rest(QueueRequests(config, queue), verb, arguments))
+            return run_loop(_handle_at_rest(QueueRequests(config, plugins_of(config), queue), verb, arguments))
     if not reply["ok"]:
         raise refusal_of(reply)
     return reply

@@ -262,7 +262,7 @@ def _made_ready(run: CellRun, context: Context, kept: ExitStack, *, holds: bool)
         kept.enter_context(recording_to(place(run.record, config), config))
     journal: Journal | JournalDamage
     try:
-        journal = kept.enter_context(_journal(config, work[1][0]) if work else Journal.of_cell(config.state_dir))
+        journal = kept.enter_context(_journal(config, hooks, work[1][0]) if work else Journal.of_cell(config.state_dir))
     except JournalDamage as damage:
         if not holds:
             raise
@@ -326,7 +326,7 @@ async def _run_job(ready: _Ready, journal: Journal, shutdown: ShutdownRequest, *
         async with notifying(config, ready.notifiers, known, (hooks.on_event, run.show), sinks) as bus:
             jobs.bus = bus
             await jobs.resume()
-            requests = QueueRequests(config, jobs.queue, jobs.added, bus.publish)
+            requests = QueueRequests(config, hooks, jobs.queue, jobs.added, bus.publish)
             how = {"holds": holds, "until_empty": run.until_empty, "start_held": run.start_held}
             runner = JobRunner(ready.cell, jobs, requests, bus, **how)
             with shutdown.stopping(runner):
@@ -360,9 +360,9 @@ async def _serve(state_dir: Path, runner: JobRunner) -> dict[str, Any]:
     return summary
 
 
-def _journal(config: CellConfig, programs: Sequence[Program]) -> Journal:
+def _journal(config: CellConfig, hooks: Hooks, programs: Sequence[Program]) -> Journal:
     """Return the cell's journal; ConfigError if its job was begun with other settings, or with other programs."""
-    terms = terms_of(config, *(program.sha256 for program in programs))
+    terms = terms_of(config, hooks.program_formats(), *(program.sha256 for program in programs))
     cell = Journal.of_cell(config.state_dir)
     try:
         if (other := Queue(cell.store).under_way()) is not None:

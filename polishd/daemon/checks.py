@@ -145,7 +145,7 @@ def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: se
         try:
             file = JobFile.read(path)
             config = file.laid_over(cell)
-            jobs.append(new_job(cell, file))
+            jobs.append(new_job(cell, hooks, file))
             values = {**config.effective(), "job": {**config.job.model_dump(), "id": ""}}
             values["part"] = {**config.part.model_dump(), "id": ""}
             if (same := json.dumps([values, jobs[-1].files], sort_keys=True)) not in judged:

@@ -68,15 +68,16 @@ def read_recipes(config: CellConfig, hooks: Hooks) -> tuple[Recipe, ...]:
 
 
 def turns_of(
-    config: CellConfig, recipes: Sequence[Recipe], programs: Sequence[Sequence[Program]]
+    config: CellConfig, hooks: Hooks, recipes: Sequence[Recipe], programs: Sequence[Sequence[Program]]
 ) -> tuple[ToolStepState, ...]:
     """Return the step of each tool; with several tools it reads the files that their keys name."""
+    formats = hooks.program_formats()
     return tuple(
         ToolStepState(
             recipe,
             tuple(each),
             contact_limits(own),
-            terms_of(own, *(program.sha256 for program in each)) if config.tools else None,
+            terms_of(own, formats, *(program.sha256 for program in each)) if config.tools else None,
         )
         for own, recipe, each in zip(config.turns, recipes, programs, strict=True)
     )
@@ -98,7 +99,7 @@ def make_job(
     ``programs``: of each tool, in the order in which they take turns.
     """
     return Job(
-        ToolSequence(turns_of(config, recipes, programs), journal),
+        ToolSequence(turns_of(config, hooks, recipes, programs), journal),
         journal=journal,
         folder=folder,
         compute=compute,
@@ -173,7 +174,7 @@ class JobMaker:
         files are read in threads, because other cells of this process may be in contact.
         """
         lay = require_unchanged if entry.begun_s is None else _laid_over
-        config = await asyncio.to_thread(lay, self.config, entry)
+        config = await asyncio.to_thread(lay, self.config, self.hooks, entry)
         hooks = await asyncio.to_thread(hooks_of_job, self.config, self.hooks, config)
         recipes = await asyncio.to_thread(read_recipes, config, hooks)
         require_commissioned(config, recipes[0].instrument)
@@ -185,7 +186,7 @@ class JobMaker:
                 await self.compute(require_fit, tool, recipe, program)
             require_stall_depth(tool, self.cell, recipe)
         require_time_limits(config, self.cell)
-        terms = await asyncio.to_thread(terms_of, config, *(one.sha256 for one in programs[0]))
+        terms = await asyncio.to_thread(terms_of, config, hooks.program_formats(), *(one.sha256 for one in programs[0]))
         queue.require_held(entry)  # otherwise the shop could assign this job to another cell
         own = journal.of_job(entry.name, entry.part_id, terms, queue.begin_row(entry))
         require_same(config, terms, own)
@@ -199,6 +200,7 @@ class JobMaker:
         return job, folder
 
 
-def _laid_over(cell: CellConfig, entry: QueueEntry) -> CellConfig:
+def _laid_over(cell: CellConfig, hooks: Hooks, entry: QueueEntry) -> CellConfig:
     """Return the config of a job under way; ``require_same`` checks what may have changed since."""
+    del hooks
     return entry.file.laid_over(cell)

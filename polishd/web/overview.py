@@ -196,10 +196,10 @@ class Overview:
 
     def _paces(self) -> list[float]:
         """Return the duration over the planned time of the last passes, the newest first."""
-        sql = "SELECT ended - started, facts FROM pass WHERE how = 'done' ORDER BY started DESC LIMIT ?"
+        sql = "SELECT ended - started, facts FROM pass WHERE how = 'done' ORDER BY job DESC, cycle DESC LIMIT ?"
         # facts may contain NaN, which json.loads reads and SQLite's JSON functions refuse
         passes = [(took_s, json.loads(text).get("dwell_s") or 0.0) for took_s, text in self._rows(sql, EARLIER)]
-        return [took_s / dwell_s for took_s, dwell_s in passes if dwell_s > 0]
+        return [took_s / dwell_s for took_s, dwell_s in passes if took_s > 0 and dwell_s > 0]
 
     def _plan_curve(self, name: str) -> list[tuple[float, int]]:
         """Return the plan's time in contact up to the end of each block, thinned; empty without a plan."""

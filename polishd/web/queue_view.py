@@ -59,10 +59,10 @@ class QueueView:
 
     def _read(self) -> tuple[list[dict[str, Any]], list[dict[str, Any]], int, list[tuple[int, str | None]]]:
         """Return the jobs to do, the last ended ones, the number of ended ones, and programs of those that ran."""
-        last = f"ended IS NOT NULL ORDER BY ended DESC, id DESC LIMIT {ENDED_SHOWN}"
+        last = f"ended IS NOT NULL ORDER BY place DESC LIMIT {ENDED_SHOWN}"
         programs = (
             f"SELECT job, json_extract(files, '$.\"{PROGRAM}\"') FROM queue "  # noqa: S608 - our own words
-            f"WHERE ended IS NOT NULL AND job IS NOT NULL ORDER BY ended DESC LIMIT {TYPICAL_OF}"
+            f"WHERE ended IS NOT NULL AND job IS NOT NULL ORDER BY place DESC LIMIT {TYPICAL_OF}"
         )
         with read_only(self._config.state_dir) as journal:
 

@@ -23,6 +23,7 @@ from polishd.daemon.queue.queue import Queue
 from polishd.daemon.queue.requests import require_unchanged
 from polishd.daemon.runtime.exit_record import last_ending
 from polishd.model.errors import ConfigError
+from polishd.plugin_loader import plugins_of
 from polishd.plugins.interferometer.map_files import TakenMaps
 from polishd.reports.certificate.sources import read_rows
 from tests.unit.cli_result import Polishd
@@ -206,7 +207,7 @@ def test_a_job_of_its_queue_is_laid_over_the_new_cell(old: Path) -> None:
     queue_old_jobs(old, running='[job]\nid = "x"\n[part]\nid = "X"\n', waiting=text)
     with Queue.at_rest(old / "state") as queue:
         (entry,) = queue.waiting()
-    config = require_unchanged(cell, entry)
+    config = require_unchanged(cell, plugins_of(cell), entry)
     assert (config.job.stream_ahead_s, config.part.free_edge, config.limits.max_stall_removal_nm) == (12.0, True, 40.0)
 
 

@@ -17,6 +17,7 @@ from polishd.config.cell import FILES, CellConfig, tool_files
 from polishd.config.process_sections import LIMITS_OF_PROCESS
 from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal.store import old_copy
+from polishd.hookspecs import DataFileFormat, ProgramFormat
 from polishd.model.errors import ConfigError
 
 
@@ -80,12 +81,13 @@ def may_change(key: str) -> bool:
     return next((rule.may_change for rule in RULES if any(fnmatchcase(key, one) for one in rule.keys)), False)
 
 
-def terms_of(config: CellConfig, *program_sha256: str) -> dict[str, Any]:
+def terms_of(config: CellConfig, formats: Mapping[str, ProgramFormat], *program_sha256: str) -> dict[str, Any]:
     """Return all effective values by dotted key, JSON-ready.
 
+    ``formats``: of the job's plugins, by name.
     A file is ``{"file", "sha256"}``; the hashes of the (first tool's) programs are those of the texts that were read.
     """
-    terms = dict(_flat(config.effective())) | file_terms(config, (*FILES, *tool_files(config.tools)))
+    terms = dict(_flat(config.effective())) | file_terms(config, formats, (*FILES, *tool_files(config.tools)))
     if config.turns[0].program.paths == config.program.paths:  # those of the first tool; a later one may have others
         named = terms["program.path"]
         for file, sha256 in zip(named if isinstance(named, list) else [named], program_sha256, strict=True):
@@ -93,13 +95,21 @@ def terms_of(config: CellConfig, *program_sha256: str) -> dict[str, Any]:
     return terms
 
 
-def file_terms(config: CellConfig, keys: Iterable[str]) -> dict[str, Any]:
-    """Return ``{"file", "sha256"}`` by key, for those keys that name a file. ConfigError where a file is missing."""
+def file_terms(config: CellConfig, formats: Mapping[str, ProgramFormat], keys: Iterable[str]) -> dict[str, Any]:
+    """Return ``{"file", "sha256"}`` by key, for those keys that name a file. ConfigError where a file is missing.
+
+    The hash of a program covers the file beside it that declares its positions (a .dat, a .dtx).
+    """
+    used = formats.get(config.program.format)
+    programs = {"program.path", *(f"tools.{name}.program" for name in config.tools)}
     values = dict(_flat(config.effective()))
     named = {key: values[key] for key in keys if values.get(key)}
     return {
-        key: [_file(config, key, one) for one in name] if isinstance(name, list) else _file(config, key, name)
+        key: [_file(config, key, one, data) for one in name]
+        if isinstance(name, list)
+        else _file(config, key, name, data)
         for key, name in named.items()
+        for data in [used.data_file if used is not None and key in programs else None]
     }
 
 
@@ -133,10 +143,11 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{key}", value
 
 
-def _file(config: CellConfig, key: str, name: str) -> dict[str, str]:
+def _file(config: CellConfig, key: str, name: str, data: DataFileFormat | None) -> dict[str, str]:
     path: Path = config.resolve(name)
     try:
-        return {"file": name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        content = path.read_bytes() + (data.find(path) if data else b"")
+        return {"file": name, "sha256": hashlib.sha256(content).hexdigest()}
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}. Set {key} to a file that exists") from error
 

@@ -216,8 +216,8 @@ class Queue:
                 store.close()
 
     def entries(self) -> list[QueueEntry]:
-        """Return all jobs: those that ended, by time; the one under way; those that wait, in order."""
-        return self._where("1 ORDER BY ended IS NULL, ended, begun IS NULL, place")
+        """Return all jobs: those that ended, in that order; the one under way; those that wait, in order."""
+        return self._where("1 ORDER BY ended IS NULL, begun IS NULL AND ended IS NULL, place")
 
     def to_do(self) -> list[QueueEntry]:
         """Return the job under way and those that wait, in order."""
@@ -252,9 +252,7 @@ class Queue:
 
     def last_ended(self) -> QueueEntry | None:
         """Return the job that ended last."""
-        return next(
-            iter(self._where("begun IS NOT NULL AND ended IS NOT NULL ORDER BY ended DESC, id DESC LIMIT 1")), None
-        )
+        return next(iter(self._where("begun IS NOT NULL AND ended IS NOT NULL ORDER BY place DESC LIMIT 1")), None)
 
     def add(self, jobs: Sequence[NewJob]) -> None:
         """Add jobs at the end, all or none; ConfigError where a name is already in the queue or done.
@@ -329,7 +327,11 @@ class Queue:
         self._write(begun, self._end_row(entry, verdict.how, verdict.reason, verdict.fault), *also)
 
     def _end_row(self, entry: QueueEntry, verdict: str, reason: str, fault: str) -> Row:
-        sql = "UPDATE queue SET ended = ?, verdict = ?, reason = ?, fault = ? WHERE id = ?"
+        # The place of an ended job is its turn among the ends: ``ended`` is wall time, and a clock can be set back.
+        sql = (
+            "UPDATE queue SET ended = ?, verdict = ?, reason = ?, fault = ?, "
+            "place = (SELECT max(place) + 1 FROM queue) WHERE id = ?"
+        )
         return sql, (time.time(), verdict, reason, fault, entry.id)
 
     def _write(self, *rows: Row) -> None:

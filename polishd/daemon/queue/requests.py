@@ -16,28 +16,33 @@ from polishd.daemon.queue.queue import NewJob, Queue, QueueEntry
 from polishd.daemon.socket.server import Handler
 from polishd.model.errors import ConfigError
 from polishd.model.events import CommandReceived, Event, ShopRateReceived
+from polishd.plugin_loader import Hooks, hooks_of_job
 
 
-def new_job(cell: CellConfig, file: JobFile) -> NewJob:
+def new_job(cell: CellConfig, hooks: Hooks, file: JobFile) -> NewJob:
     """Return the job of a file for the queue; ConfigError where its values, or the files that it names, are wrong.
 
     It reads those files: in a daemon call it in a thread. It does not check the program: the caller does
     (``daemon.checks``), and the daemon when the job begins.
     """
     config = file.laid_over(cell)
-    return NewJob(config.job.id, config.part.id, file, file_terms(config, file.names()))
+    formats = hooks_of_job(cell, hooks, config).program_formats()
+    return NewJob(config.job.id, config.part.id, file, file_terms(config, formats, file.names()))
 
 
-def require_unchanged(cell: CellConfig, entry: QueueEntry) -> CellConfig:
+def require_unchanged(cell: CellConfig, hooks: Hooks, entry: QueueEntry) -> CellConfig:
     """Return the cell's config with that job; ConfigError where a file that the job names has changed since.
 
     The job was checked with that content; with another content it is another job.
     """
     config = entry.file.laid_over(cell)
-    for key, now in file_terms(config, entry.file.names()).items():
+    formats = hooks_of_job(cell, hooks, config).program_formats()
+    for key, now in file_terms(config, formats, entry.file.names()).items():
         if now != (then := entry.files.get(key)):
+            used = formats.get(config.program.format)
+            beside = " or the file that declares its positions" if "program" in key and used and used.data_file else ""
             raise config.error(
-                key, f"{_file(now)} has changed since the job was added ({_hash(then)}). Add the job again"
+                key, f"{_file(now)}{beside} has changed since the job was added ({_hash(then)}). Add the job again"
             )
     return config
 
@@ -58,12 +63,13 @@ class QueueRequests:
     def __init__(
         self,
         cell: CellConfig,
+        hooks: Hooks,
         queue: Queue,
         changed: Callable[[], None] = lambda: None,
         publish: Callable[[Event], None] = lambda _: None,
     ) -> None:
         """``changed`` is called after an addition or removal, ``publish`` with the event of each change."""
-        self._cell, self._queue, self._changed, self._publish = cell, queue, changed, publish
+        self._cell, self._hooks, self._queue, self._changed, self._publish = cell, hooks, queue, changed, publish
         self._turn = asyncio.Lock()
 
     @property
@@ -86,7 +92,7 @@ class QueueRequests:
             raise ConfigError("a claim belongs to one job. Name one file")
 
         def judged() -> Sequence[NewJob]:
-            return [replace(new_job(self._cell, file), claim=claim) for file in named]
+            return [replace(new_job(self._cell, self._hooks, file), claim=claim) for file in named]
 
         async with self._turn:
             jobs = await asyncio.to_thread(judged)

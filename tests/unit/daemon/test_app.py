@@ -70,7 +70,7 @@ class Running:
         job = bench.job(**{"recipe": small_recipe(tolerance_nm=1.5)} | changes)
         bus = EventBus(sinks=(bench.journal.record_event, self.published.append))
         jobs = SingleJob(bench.journal, job.folder, job)
-        requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
+        requests = QueueRequests(None, None, jobs.queue)  # type: ignore[arg-type]
         self.daemon = JobRunner(bench.fake.cell, jobs, requests, bus, holds=holds, start_held=start_held)
         self.task: asyncio.Task[Outcome] | None = None
 
@@ -480,18 +480,18 @@ class Site:
             base_dir=tmp_path,
             notify={},
             part=SimpleNamespace(id="P-1"),
-            program=SimpleNamespace(paths=("program.rnc",)),
+            program=SimpleNamespace(paths=("program.rnc",), format="gcode"),
             job=SimpleNamespace(id="small", max_cycles=3, stream_ahead_s=8.0),
             resolve=lambda text: tmp_path / text,
             effective=lambda: {"part": self.part, "program": {"path": "program.rnc"}},
             error=lambda key, problem: ConfigError(f"cell.toml: {key}: {problem}"),
         )
         self.config.turns, self.config.tools = (self.config,), {}
-        self.hooks: Any = SimpleNamespace(on_event=self.published.append, check_plan=accept)
+        self.hooks: Any = SimpleNamespace(on_event=self.published.append, check_plan=accept, program_formats=dict)
         journal = app._journal
 
-        def kept(config: Any, programs: Sequence[Program]) -> Journal:
-            found = journal(config, programs)
+        def kept(config: Any, hooks: Any, programs: Sequence[Program]) -> Journal:
+            found = journal(config, hooks, programs)
             assert self.bench is not None
             self.bench.journal = found
             return found

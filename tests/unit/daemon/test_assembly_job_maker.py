@@ -71,7 +71,7 @@ async def made(
     for name in CHECKS:
         monkeypatch.setattr(job_assembly, name, lambda *_: None)
     monkeypatch.setattr(job_assembly, "require_unchanged", lambda *_: config)
-    monkeypatch.setattr(job_assembly, "hooks_of_job", lambda *_: None)
+    monkeypatch.setattr(job_assembly, "hooks_of_job", lambda *_: SimpleNamespace(program_formats=dict))
     monkeypatch.setattr(job_assembly, "read_recipes", lambda *_: [SimpleNamespace(instrument=None)])
     monkeypatch.setattr(job_assembly, "terms_of", terms_of)
     odd: Any = compute

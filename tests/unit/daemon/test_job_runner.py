@@ -106,7 +106,7 @@ class Hall:
         self.jobs = QueuedJobs(self.journal, self.make)
         self.bus = self.jobs.bus = EventBus(sinks=(self.jobs.record, self.published.append))
         await self.jobs.resume()
-        requests = QueueRequests(None, self.jobs.queue, self.jobs.added)  # type: ignore[arg-type]
+        requests = QueueRequests(None, None, self.jobs.queue, self.jobs.added)  # type: ignore[arg-type]
         self.queue = self.jobs.queue
         self.daemon = JobRunner(self.fake.cell, self.jobs, requests, self.bus, **options)
 

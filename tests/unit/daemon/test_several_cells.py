@@ -34,8 +34,8 @@ class Sites:
             self.all.append(Site(tmp_path / name, monkeypatch))
         self.breaks: dict[int, Any] = {}
 
-        def kept(config: Any, program: Program) -> Journal:
-            found = journal(config, program)
+        def kept(config: Any, hooks: Any, program: Program) -> Journal:
+            found = journal(config, hooks, program)
             bench = self.of(config).bench
             assert bench is not None
             bench.journal = found

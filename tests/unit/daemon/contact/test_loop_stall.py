@@ -232,7 +232,7 @@ async def test_the_loop_is_never_held_for_long_in_contact(tmp_path: Path, monkey
         )
         monkeypatch.setattr(job, "plan", functools.partial(with_long_plan, job.plan))
         jobs = SingleJob(journal, job.folder, job)
-        requests = QueueRequests(None, jobs.queue)  # type: ignore[arg-type]
+        requests = QueueRequests(None, None, jobs.queue)  # type: ignore[arg-type]
         daemon, asker = JobRunner(cell, jobs, requests, bus), Asker(tmp_path)
         async with serving(tmp_path, daemon.handlers, bus):
             asker.start()

@@ -30,7 +30,7 @@ def cell(tmp_path: Path) -> Path:
 def begin(cell: Path, program_sha256: str = "aa" * 32) -> CellConfig:
     """A job that has measured something."""
     config = load_config(cell)
-    terms = terms_of(config, program_sha256)
+    terms = terms_of(config, {}, program_sha256)
     config.state_dir.mkdir(exist_ok=True)
     with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
         journal.record_map(0, "bb", "x", {})
@@ -39,7 +39,7 @@ def begin(cell: Path, program_sha256: str = "aa" * 32) -> CellConfig:
 
 def go_on(cell: Path, program_sha256: str = "aa" * 32) -> None:
     config = load_config(cell)
-    terms = terms_of(config, program_sha256)
+    terms = terms_of(config, {}, program_sha256)
     with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
         assert journal.resumed
         require_same(config, terms, journal)
@@ -160,7 +160,7 @@ def test_another_outline_in_the_same_file_is_another_part(cell: Path) -> None:
 
 def test_terms_are_json_and_hold_every_value(cell: Path) -> None:
     config = load_config(cell)
-    terms = terms_of(config, "aa" * 32)
+    terms = terms_of(config, {}, "aa" * 32)
     assert json.loads(json.dumps(terms)) == terms
     assert terms["part.aperture_mm"] == config.part.aperture_mm
     assert terms["program.path"]["sha256"] == "aa" * 32
@@ -170,7 +170,7 @@ def test_terms_are_json_and_hold_every_value(cell: Path) -> None:
 
 
 def flattened(cell: Path) -> list[str]:
-    return list(terms_of(load_config(cell), ""))
+    return list(terms_of(load_config(cell), {}, ""))
 
 
 def test_each_key_has_a_rule_and_each_rule_a_key(cell: Path) -> None:
@@ -214,7 +214,7 @@ def begin_with_two(cell: Path) -> CellConfig:
     change(cell, "program", {"path": TWO})
     config = load_config(cell)
     config.program_paths[1].write_bytes(b"(between)\n" + config.program_path.read_bytes())
-    terms = terms_of(config, "aa" * 32, "bb" * 32)
+    terms = terms_of(config, {}, "aa" * 32, "bb" * 32)
     config.state_dir.mkdir()
     with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
         journal.record_map(0, "cc", "x", {})
@@ -223,7 +223,7 @@ def begin_with_two(cell: Path) -> CellConfig:
 
 def go_on_with(cell: Path, *program_sha256: str) -> None:
     config = load_config(cell)
-    terms = terms_of(config, *program_sha256)
+    terms = terms_of(config, {}, *program_sha256)
     with Journal.open(config.state_dir, job=config.job.id, part_id=config.part.id, terms=terms) as journal:
         require_same(config, terms, journal)
 
@@ -231,7 +231,10 @@ def go_on_with(cell: Path, *program_sha256: str) -> None:
 def test_a_job_goes_on_with_its_programs(cell: Path) -> None:
     config = begin_with_two(cell)
     go_on_with(cell, "aa" * 32, "bb" * 32)
-    assert [one["sha256"] for one in terms_of(config, "aa" * 32, "bb" * 32)["program.path"]] == ["aa" * 32, "bb" * 32]
+    assert [one["sha256"] for one in terms_of(config, {}, "aa" * 32, "bb" * 32)["program.path"]] == [
+        "aa" * 32,
+        "bb" * 32,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -264,7 +267,7 @@ def test_a_tool_with_programs_of_its_own_leaves_the_hashes_of_the_cells_as_they_
     for name in (*TWO, "own.rnc", "other.rnc"):
         config.resolve(name).write_bytes(name.encode())
     cell.write_text(cell.read_text() + '\n[tools.own]\nprogram = ["own.rnc", "other.rnc"]\n')
-    terms = terms_of(load_config(cell), "aa" * 32, "bb" * 32)
+    terms = terms_of(load_config(cell), {}, "aa" * 32, "bb" * 32)
     known = [hashlib.sha256(name.encode()).hexdigest() for name in (*TWO, "own.rnc", "other.rnc")]
     assert [one["sha256"] for one in (*terms["program.path"], *terms["tools.own.program"])] == known
 
@@ -274,7 +277,7 @@ def test_a_program_of_a_later_tool_is_a_term_too(cell: Path) -> None:
     folder = cell.parent
     (folder / "own.rnc").write_bytes(b"(own)\n" + (folder / "program.rnc").read_bytes())
     cell.write_text(cell.read_text() + '\n[tools.first]\nprogram = "own.rnc"\n\n[tools.second]\n')
-    before = terms_of(load_config(cell), "aa" * 32)
+    before = terms_of(load_config(cell), {}, "aa" * 32)
     (folder / "program.rnc").write_bytes(b"(changed)\n" + (folder / "program.rnc").read_bytes())
-    after = terms_of(load_config(cell), "aa" * 32)
+    after = terms_of(load_config(cell), {}, "aa" * 32)
     assert {key for key in before if before[key] != after[key]} == {"program.path"}

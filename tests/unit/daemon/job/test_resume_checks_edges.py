@@ -96,7 +96,7 @@ def test_the_first_rule_that_fits_holds(key: str, may: bool) -> None:
 
 def test_files_are_named_with_what_they_hold_and_one_that_is_gone_is_reported(cell: Path) -> None:  # noqa: F811
     config = begin(cell)
-    found = file_terms(config, ["instrument.profile", "part.form", "no.such.key"])
+    found = file_terms(config, {}, ["instrument.profile", "part.form", "no.such.key"])
     assert list(found) == ["instrument.profile"], "of those that name one"
     assert set(found["instrument.profile"]) == {"file", "sha256"}
     assert config.profile_path is not None
@@ -104,12 +104,12 @@ def test_files_are_named_with_what_they_hold_and_one_that_is_gone_is_reported(ce
     with pytest.raises(
         ConfigError, match=re.escape(f"{config.profile_path}: cannot be read: No such file or directory")
     ):
-        file_terms(config, ["instrument.profile"])
+        file_terms(config, {}, ["instrument.profile"])
 
 
 def test_the_program_counts_as_it_was_read(cell: Path) -> None:  # noqa: F811
     config = load_config(cell)
-    terms = terms_of(config, "cc" * 32)
+    terms = terms_of(config, {}, "cc" * 32)
     assert terms["program.path"] == {"file": config.program.path, "sha256": "cc" * 32}
     change(cell, "part", {"edge_mm": 7.5})
-    assert terms_of(load_config(cell), "cc" * 32)["part.edge_mm"] == 7.5
+    assert terms_of(load_config(cell), {}, "cc" * 32)["part.edge_mm"] == 7.5

@@ -15,6 +15,7 @@ from polishd.daemon.queue.queue import JobResult, NewJob, Queue
 from polishd.daemon.queue.requests import QueueRequests, new_job, require_unchanged
 from polishd.model.errors import ConfigError
 from polishd.model.states import Outcome
+from polishd.plugin_loader import plugins_of
 
 
 def job(name: str, part: str = "P-1") -> NewJob:
@@ -185,7 +186,7 @@ JOB = '[job]\nid = "a"\n[part]\nid = "P-7"\n[program]\npath = "lens.rnc"\n'
 async def test_a_job_comes_over_the_desk(cell: CellConfig, tmp_path: Path, queue: Queue) -> None:
     (tmp_path / "lens.rnc").write_text("M30\n")
     came: list[None] = []
-    desk = QueueRequests(cell, queue, lambda: came.append(None))
+    desk = QueueRequests(cell, plugins_of(cell), queue, lambda: came.append(None))
     file = {"path": str(tmp_path / "a.toml"), "content": JOB}
     answer = await desk.add([file])
     assert (answer, len(came)) == ({"added": ["a"], "waiting": 1}, 1)
@@ -206,17 +207,34 @@ async def test_a_job_comes_over_the_desk(cell: CellConfig, tmp_path: Path, queue
 async def test_a_file_that_was_changed_meanwhile_is_noticed(cell: CellConfig, tmp_path: Path, queue: Queue) -> None:
     program = tmp_path / "lens.rnc"
     program.write_text("M30\n")
-    queue.add([new_job(cell, JobFile(tmp_path / "a.toml", JOB))])
+    hooks = plugins_of(cell)
+    queue.add([new_job(cell, hooks, JobFile(tmp_path / "a.toml", JOB))])
     (entry,) = queue.to_do()
-    assert require_unchanged(cell, entry).part.id == "P-7"
+    assert require_unchanged(cell, hooks, entry).part.id == "P-7"
     program.write_text("M2\n")
     with pytest.raises(ConfigError) as caught:
-        require_unchanged(cell, entry)
+        require_unchanged(cell, hooks, entry)
     assert str(caught.value).startswith(f"{tmp_path}/a.toml:6: program.path: {program} (sha256 ")
     assert str(caught.value).endswith("). Add the job again")
     program.unlink()
     with pytest.raises(ConfigError, match=r"lens.rnc: cannot be read"):
-        require_unchanged(cell, entry)
+        require_unchanged(cell, hooks, entry)
+
+
+def test_the_file_of_a_program_s_positions_counts_too(cell: CellConfig, tmp_path: Path, queue: Queue) -> None:
+    text = JOB.replace("lens.rnc", "lens.src") + 'format = "krl"\n'
+    positions = tmp_path / "lens.dat"
+    (tmp_path / "lens.src").write_text("LIN XP1\n")
+    positions.write_text("DECL E6POS XP1={X 0}\n")
+    hooks = plugins_of(cell)
+    queue.add([new_job(cell, hooks, JobFile(tmp_path / "a.toml", text))])
+    (entry,) = queue.to_do()
+    assert require_unchanged(cell, hooks, entry).part.id == "P-7"
+    positions.write_text("DECL E6POS XP1={X 9}\n")
+    with pytest.raises(
+        ConfigError, match=r"lens.src \(sha256 \w+\) or the file that declares its positions has changed"
+    ):
+        require_unchanged(cell, hooks, entry)
 
 
 def test_the_queue_is_rows_of_the_journal(tmp_path: Path) -> None:

@@ -141,6 +141,18 @@ def test_the_end_of_a_job_leaves_when_it_began(worked: Worked) -> None:
     assert worked.journal.store.read("SELECT detail FROM job") == [("together",)]
 
 
+def test_the_last_job_is_the_one_that_ended_last_whatever_the_clock_says(worked: Worked) -> None:
+    worked.queue.add([job("a"), job("b"), job("c")])
+    for name in "ab":
+        worked.begin(name)
+        worked.end()
+        if name == "a":  # the clock was ten hours fast, and is set back
+            worked.journal.store.write(("UPDATE queue SET ended = ended + 36000 WHERE name = 'a'", ()))
+    assert (last := worked.queue.last_ended()) is not None
+    assert last.name == "b"
+    assert [one.name for one in worked.queue.entries()] == ["a", "b", "c"]
+
+
 def test_places_of_jobs_that_are_over_are_not_given_again(worked: Worked) -> None:
     worked.queue.add([job("a"), job("b")])
     worked.begin("a")

@@ -151,7 +151,7 @@ def begin(
     folder.create()
     for path, name in ((files.cell, "cell.toml"), (files.profile, "instrument.toml")):
         shutil.copyfile(path, files.run_dir / name)
-    terms = terms_of(config, "ab" * 32)
+    terms = terms_of(config, {}, "ab" * 32)
     journal = Journal.open(files.state_dir, job=config.job.id, part_id=config.part.id, terms=terms)
     journal.record_run_dir(files.run_dir)
     readers = list(hooks.surface_readers().values())
