@@ -156,7 +156,8 @@ class PlcPoller(PollingConnection[Variables, ControllerReport]):
             self._changed_s = now_s
         if now_s - self._changed_s > self._profile.silence_s:
             raise LinkError(f"{self.name}: the controller's heartbeat has stopped")
-        self._began = self._began or (report.time_s, now_s)
+        began_s, at_s = self._began or (report.time_s, now_s)
+        self._began = began_s + min(report.time_s - last.time_s, 0.0), at_s  # a 32-bit clock begins again at its end
         self._looked_s = now_s
 
     async def _beat(self, link: Variables) -> None:

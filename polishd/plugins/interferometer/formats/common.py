@@ -288,6 +288,9 @@ FORMATS = ("%a %b %d %H:%M:%S %Y", *DAYS, *(f"{day} {time}" for day in DAYS for 
 NOT_DATED = "its date, {}, {}: the map counts as not dated"
 
 
+REPEATED = "has no zone, and lies in an hour that the local clocks repeat or leave out"
+
+
 class Date(NamedTuple):
     """A date, its source, and warnings about it."""
 
@@ -299,7 +302,8 @@ class Date(NamedTuple):
 def date_of(text: str, *, utc: bool = False) -> Date:
     """Read a header's date, with a zone; no date where the text is empty.
 
-    A date without a time of day, or with two readings, is "guessed"; an unreadable date is None. ``utc``: the format
+    A date without a time of day, with two readings, or in an hour that the local clocks repeat, is "guessed"; an
+    unreadable date is None. ``utc``: the format
     defines a date without a zone as UTC.
     """
     words = " ".join(text.split())
@@ -308,10 +312,16 @@ def date_of(text: str, *, utc: bool = False) -> Date:
     found = {at for form in (None, *FORMATS) if (at := _parsed(words, form))}
     if not found:
         return Date(warnings=(NOT_DATED.format(repr(words[:40]), "is not understood"),))
-    at = min(found).replace(tzinfo=UTC) if utc and min(found).tzinfo is None else _zoned(min(found))
-    if len(found) == 1 and ":" in words:
+    first = min(found)
+    at = first.replace(tzinfo=UTC) if utc and first.tzinfo is None else _zoned(first)
+    if len(found) > 1:
+        why = "may have the month or the day first"
+    elif ":" not in words:
+        why = "gives no time of day"
+    elif _is_twice(first) and not utc:
+        why = REPEATED
+    else:
         return Date(at)
-    why = "gives no time of day" if len(found) == 1 else "may have the month or the day first"
     return Date(at, "guessed", (NOT_DATED.format(repr(words[:40]), why),))
 
 
@@ -327,6 +337,8 @@ def instant(at: datetime, now: datetime) -> Date:
         why = "is in the future, as if filled in"
     elif (at.hour, at.minute, at.second) == (0, 0, 0):
         why = "gives no time of day"
+    elif _is_twice(at):
+        why = REPEATED
     else:
         return Date(known)
     return Date(known, "guessed", (NOT_DATED.format(known.isoformat(), why),))
@@ -338,6 +350,11 @@ def _parsed(words: str, form: str | None) -> datetime | None:
         return datetime.fromisoformat(words) if form is None else datetime.strptime(words, form)  # noqa: DTZ007
     except ValueError:
         return None
+
+
+def _is_twice(at: datetime) -> bool:
+    """Whether the local clocks show that time twice, or never: in autumn an hour is repeated."""
+    return at.tzinfo is None and _zoned(at) != _zoned(at.replace(fold=1))
 
 
 def _zoned(at: datetime) -> datetime:

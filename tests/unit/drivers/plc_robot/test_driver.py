@@ -240,3 +240,23 @@ async def test_a_clock_that_stands_between_two_looks_is_no_pace_of_nothing(tmp_p
     assert await following.until(lambda: looks >= 30, SOON_S)
     await following.close()
     assert min(paces[5:]) > 0.0
+
+
+async def test_a_clock_of_32_bits_that_begins_again_is_no_negative_pace(tmp_path: Path) -> None:
+    """IEC TIME() counts ms in 32 bits: it begins again after 49.7 days."""
+    fake = FakePlc(tmp_path)
+    began_s, end_s = time.monotonic(), 2**32 / 1e3
+    looks, paces = 0, []
+
+    async def look(_: ControllerReport) -> None:
+        nonlocal looks
+        looks += 1
+        fake.plc.shown["clock"] = (end_s - 0.1 + time.monotonic() - began_s) % end_s
+        paces.append(following.pace)
+
+    following = PlcPoller("it", lambda: Direct(fake), PROFILE, look)
+    fake.plc.shown["clock"] = end_s - 0.1
+    await following.open()
+    assert await following.until(lambda: looks >= 30 and fake.plc.shown["clock"] < 100.0, SOON_S)
+    await following.close()
+    assert 0.0 < min(paces[5:]) <= max(paces[5:]) < 2.0

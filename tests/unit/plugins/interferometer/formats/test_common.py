@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
@@ -62,3 +64,30 @@ def test_a_librarys_today_midnight_and_future_are_no_measurement_times(hours: in
 def test_the_ends_of_time_are_no_error() -> None:
     for at in (datetime.min, datetime.max):  # noqa: DTZ901
         assert instant(at, datetime.now(UTC)).at is not None
+
+
+@pytest.fixture
+def in_central_europe(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with monkeypatch.context() as patched:
+        patched.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")  # needs no database of zones
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@pytest.mark.usefixtures("in_central_europe")
+@pytest.mark.parametrize(
+    ("text", "by"),
+    [
+        ("2026-10-25 02:30:00", "guessed"),  # at 0:30 UTC and at 1:30 UTC
+        ("2026-03-29 02:30:00", "guessed"),  # never
+        ("2026-10-25 03:30:00", "header"),
+        ("2026-10-25T02:30:00+01:00", "header"),
+    ],
+)
+def test_a_time_that_the_local_clocks_show_twice_or_never_is_guessed(text: str, by: str) -> None:
+    found = date_of(text)
+    assert (found.by, len(found.warnings)) == (by, by == "guessed")
+    assert date_of(text, utc=True).by == "header"
+    later = instant(datetime.fromisoformat(text), datetime(2027, 1, 1, tzinfo=UTC))
+    assert later.by == by
