@@ -21,6 +21,17 @@ from polishd.util.files import write_atomic
 from tests.system.sim_rig import ROOT
 
 Row = dict[str, Any]
+ACTING = (
+    "polishd/daemon/cell",
+    "polishd/daemon/contact",
+    "polishd/daemon/journal",
+    "polishd/daemon/runtime",
+    "polishd/daemon/cycle",
+    "polishd/daemon/job/job",
+    "polishd/daemon/job_runner",
+    "polishd/daemon/state_machine",
+)
+"""What a daemon with a tool on the part does. Queue, socket, notifications and config checks have no part in it."""
 
 
 def read(path: Path) -> list[Row]:

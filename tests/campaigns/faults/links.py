@@ -11,6 +11,7 @@ from typing import Any
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, with_values
 from polishd.config import simulator_faults
+from tests.campaigns.result_files import ACTING
 from tests.system import abb_rig, fanuc_rmi_rig, kuka_rig, plc_robot_rig, universal_robots_rig
 from tests.system.agreement import LEAST_S
 from tests.system.cell_rig import ONE_PASS, Sections, with_keys, write_small
@@ -68,7 +69,7 @@ MUST_END = {*LOST, "all garbled", "all lost", "sticks", "halts", "freezes", "dri
 QUICK: Sections = {"actuator": {"land_s": 0.5}, "spindle": {"spin_s": 0.5}, "interferometer": {"write_s": 0.02}}
 """Short times before contact, where no fault acts yet. The time to lift the tool stays: it is measured."""
 COMMON = (
-    "polishd/daemon",
+    *ACTING,
     "polishd/model",
     "polishd/drivers/transport",
     "polishd/sim_backends/common",

@@ -11,7 +11,7 @@ from pathlib import Path
 from tests.campaigns import result_files
 from tests.campaigns.pits.cases import CASES, LINKS
 from tests.campaigns.pits.judge import Finding
-from tests.campaigns.result_files import Row
+from tests.campaigns.result_files import ACTING, Row
 from tests.system.sim_rig import ROOT
 
 DATA = ROOT / "docs" / "data"
@@ -23,7 +23,7 @@ COLUMNS = (
 )
 HEADER = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
 COMMON = (
-    "polishd/daemon",
+    *ACTING,
     "polishd/model",
     "polishd/drivers/transport",
     "polishd/sim_backends/common",
