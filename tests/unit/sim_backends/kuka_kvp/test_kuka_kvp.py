@@ -32,10 +32,14 @@ def machine(overhead_s: float = OVERHEAD_S) -> KukaController:
 
 def started(body: str, **more: float) -> KukaController:
     found = machine(**more)
-    for _ in found.selecting("P", f"DEF P( )\nINT N\nINT M\nPTP $AXIS_ACT\nWAIT SEC 0\n{body}\nEND\n"):
-        pass
+    select(found, f"DEF P( )\nINT N\nINT M\nPTP $AXIS_ACT\nWAIT SEC 0\n{body}\nEND\n")
     assert found.start()
     return found
+
+
+def select(found: KukaController, text: str, data: str = "") -> None:
+    for _ in found.selecting("P", text, data):
+        pass
 
 
 def lin(x: float, more: str = "") -> str:
@@ -217,12 +221,45 @@ def test_an_error_of_the_program_stops_it_with_a_message() -> None:
     said: list[tuple[int, str]] = []
     found = machine()
     found.complain = lambda line, text: said.append((line, text))
-    for _ in found.selecting("P", "DEF P( )\nNOWHERE=1\nEND\n"):
-        pass
+    select(found, "DEF P( )\n$VEL.CP=0\nLIN {X 1,Y 0,Z 60,A 0,B 0,C 180}\nEND\n")
     found.start()
     found.frame()
-    assert said == [(2, "NOWHERE is not declared")]
+    assert said == [(3, "$VEL.CP and $ACC.CP must be above 0")]
     assert (found.state, found.stop_message) == ("#P_STOP", True)
+
+
+def data_list(x: float) -> str:
+    pose = f"X {x},Y 0.0,Z 60.0,A 0.0,B 0.0,C 180.0,S 2,T 35,E1 0.0"
+    frame = '{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}'
+    return f"&ACCESS RV\nDEFDAT P PUBLIC\nDECL E6POS XP1={{{pose}}}\nDECL FDAT FP1={frame}\nENDDAT\n"
+
+
+def test_a_module_takes_its_positions_from_its_data_list_and_from_no_earlier_one() -> None:
+    found, text = machine(), "DEF P( )\nFDAT_ACT=FP1\nBAS (#CP_PARAMS,0.05)\nLIN XP1\nEND\n"
+    for x in (4.0, 6.0):
+        select(found, text, data_list(x))
+        assert found.start()
+        to_end(found)
+        assert found.path.pose.xyz_mm[0] == pytest.approx(x)
+    assert found.cancel()
+    with pytest.raises(ProgramError, match="XP1 is not declared"):
+        found.read("XP1")
+
+
+@pytest.mark.parametrize(
+    ("text", "data", "why"),
+    [
+        ("LIN XP2", data_list(1.0), "XP2 is not declared"),
+        ("LIN XP1", "", "XP1 is not declared"),
+        ("N=1", "", "N is not declared"),
+        ("LIN XP1", data_list(1.0).replace("DEFDAT P", "DEFDAT Q"), "the data list is that of Q"),
+    ],
+)
+def test_a_name_without_a_declaration_is_refused_when_the_module_is_selected(text: str, data: str, why: str) -> None:
+    found = machine()
+    with pytest.raises(ProgramError, match=why):
+        select(found, f"DEF P( )\n{text}\nEND\n", data)
+    assert found.state == "#P_FREE"
 
 
 # The shipped watchdog, as the submit interpreter runs it.
