@@ -101,6 +101,13 @@ class Program:
         return self.text.count(b"\n") + 1
 
 
+DATA_FILE_STAYS = (
+    "the driver delivers the program without the file beside it. Have it posted with its positions and speeds, and "
+    "move that file to another folder."
+)
+"""Why a robot takes no program with ``beside``, where its driver does not deliver it."""
+
+
 def program_of_points(
     name: str, encoding: Encoding, start_mm: FloatArray, end_mm: FloatArray, axis: FloatArray
 ) -> Program:

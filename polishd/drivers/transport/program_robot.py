@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from polishd.drivers.transport.program_tracker import PollingConnection, ProgramTracker
 from polishd.model.devices import ExecutedBlock, RobotProgress, RobotState, RobotTimes
 from polishd.model.errors import DeviceFault, DeviceRefused, LinkError, ProtocolError
-from polishd.model.program import Plan, Segment
+from polishd.model.program import DATA_FILE_STAYS, Plan, Segment
 
 
 def new_blocks(segments: Sequence[Segment], accepted: int, longest_line: int, name: str) -> list[Segment]:
@@ -42,6 +42,8 @@ class ProgramRobot(ABC, Generic[Tracker]):
     longest_line: int
     """Longest line of the controller, bytes."""
     stops_anywhere = False
+    delivers_data_file = False
+    """The controller also gets the file beside the program."""
 
     def __init__(self, name: str, times: RobotTimes) -> None:
         """``name``: for messages."""
@@ -151,6 +153,8 @@ class ProgramRobot(ABC, Generic[Tracker]):
     async def prepare(self, plan: Plan) -> None:
         """See Robot. DeviceRefused while the controller runs a program, or is not ready to."""
         self._connection.check()
+        if plan.program.beside and not self.delivers_data_file:
+            raise DeviceRefused(f"{self._name}: {DATA_FILE_STAYS}")
         if self._tracker is not None and len(self._tracker) >= self._tracker.blocks:  # its program is about to end
             await self._connection.until(lambda: not self._running(), self._times.stop_s)
         if self._running():

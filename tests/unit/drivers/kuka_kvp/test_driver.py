@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError
+from polishd.drivers.kuka_kvp import driver
 from polishd.drivers.kuka_kvp.driver import KukaRobot
 from polishd.drivers.kuka_kvp.protocol import KvpLink
 from polishd.drivers.transport.address import Tcp
@@ -37,8 +38,9 @@ async def robot(fake: FakeKuka) -> AsyncIterator[KukaRobot]:
     await found.close()
 
 
-async def prepared(robot: KukaRobot, lines: list[bytes]) -> None:
+async def prepared(robot: KukaRobot, lines: list[bytes], beside: bytes = b"") -> None:
     plan = plan_of(lines)
+    plan = replace(plan, program=replace(plan.program, beside=beside))
     await robot.prepare(plan)
     await robot.send(plan.segments)
 
@@ -162,8 +164,40 @@ async def test_a_line_that_the_controller_cannot_read_is_refused_and_nothing_is_
     fake: FakeKuka, robot: KukaRobot
 ) -> None:
     with pytest.raises(DeviceRefused, match=r"does not select /R1/PROGRAM/POLISHD: general error\. Read"):
-        await prepared(robot, [*LINES, b"LIN {X"])
+        await prepared(robot, [*LINES, b"LIN {X 1}}"])
     assert fake.machine.state == "#P_FREE"
+
+
+def listed(x: float) -> bytes:
+    """Return a file beside the program that declares XP1 at that x."""
+    return b"DEFDAT part PUBLIC\nDECL GLOBAL E6POS XP1={X %.1f,Y 0,Z 60,A 0,B 0,C 180,S 2,T 35}\nENDDAT\n" % x
+
+
+async def test_the_positions_of_the_file_beside_the_program_reach_the_robot(fake: FakeKuka, robot: KukaRobot) -> None:
+    for x in (2.0, 3.0):  # the second does not go where the first went
+        await prepared(robot, [b"DEF part( )", b"$VEL.CP=0.05", b"LIN XP1", b"END"], listed(x))
+        await robot.resume()
+        assert await executed(robot, 4) == 4
+        assert fake.machine.path.pose.xyz_mm[0] == pytest.approx(x)
+    await prepared(robot, LINES)
+    assert b"XP1" not in (fake.folder / "polishd.dat").read_bytes()
+
+
+async def test_a_name_that_nothing_declares_is_refused_and_nothing_is_delivered(
+    fake: FakeKuka, robot: KukaRobot
+) -> None:
+    with pytest.raises(DeviceRefused, match=r"line 1: neither .* declares XHOME"):
+        await prepared(robot, [b"PTP XHOME", b"LIN XP1"], listed(1.0))
+    assert not list(fake.folder.iterdir())
+
+
+async def test_the_controller_refuses_a_name_that_nothing_declares(
+    fake: FakeKuka, robot: KukaRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver, "require_declared", lambda _lines, _beside: None)
+    with pytest.raises(DeviceRefused, match=r"does not select /R1/PROGRAM/POLISHD"):
+        await prepared(robot, [b"LIN XP1"])
+    assert "XP1 is not declared" in fake.complaints[0][1]
 
 
 async def test_a_share_that_cannot_be_written_is_refused(fake: FakeKuka) -> None:

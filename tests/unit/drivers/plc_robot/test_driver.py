@@ -199,6 +199,13 @@ async def test_the_file_is_the_program_with_pauses_and_a_proof(rig: tuple[FakePl
     assert (fake.folder / "polishd.nc").read_bytes().splitlines()[3] != first, "another file has other times"
 
 
+async def test_a_program_with_a_file_beside_it_is_refused(rig: tuple[FakePlc, PlcRobot]) -> None:
+    plan = plan_of([b"M2"])
+    await rig[1].open()
+    with pytest.raises(DeviceRefused, match="delivers the program without the file beside it"):
+        await rig[1].prepare(replace(plan, program=replace(plan.program, beside=b"<Database />")))
+
+
 async def test_what_cannot_be_handed_over_is_refused(tmp_path: Path) -> None:
     fake = FakePlc(tmp_path)
     async with direct(fake) as robot:
