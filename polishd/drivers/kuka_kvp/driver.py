@@ -54,6 +54,8 @@ from polishd.util.files import named_path
 OPEN_S = 3.0
 BEAT_S = 0.1
 BEATS = 1 << 15
+TIMER_S = 9e5
+"""Above this time the watchdog's timer may start again: it does after 1e6 s, so that its 32 bits are never full."""
 
 
 class KvpConnection(PollingConnection[KvpLink, KukaSample]):
@@ -119,7 +121,7 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
 
     def _require_clock(self, sample: KukaSample) -> None:
         last = self._recent[-1] if self._recent else sample
-        if sample.session != last.session or sample.time_s < last.time_s:
+        if sample.session != last.session or sample.time_s < last.time_s < TIMER_S:
             raise LinkError(f"{self.name}: the controller or its watchdog has restarted")
         if last.time_s != sample.time_s:
             self.ticks, self._changed_s = True, time.monotonic()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from functools import partial
@@ -13,7 +14,7 @@ import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError
 from polishd.drivers.kuka_kvp import driver
-from polishd.drivers.kuka_kvp.driver import KukaRobot
+from polishd.drivers.kuka_kvp.driver import TIMER_S, KukaRobot
 from polishd.drivers.kuka_kvp.protocol import KvpLink
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.kuka import TIMES, FakeKuka, krl, kuka_robot
@@ -255,6 +256,29 @@ async def test_a_restarted_controller_has_lost_the_program(fake: FakeKuka, robot
     fake.machine.write("POLISHD_SESSION", 5)
     with pytest.raises(LinkError, match="has restarted"):
         await executed(robot, len(SLOW))
+
+
+async def test_the_watchdogs_timer_may_start_again_in_a_pass(fake: FakeKuka, robot: KukaRobot) -> None:
+    fake.machine.write("$TIMER[16]", 1_000_000_000 - 1500)
+    await prepared(robot, [line for at in range(10) for line in (krl(at), b"WAIT SEC 0.200")])
+    assert robot._connection.last.time_s > TIMER_S
+    await robot.resume()
+    dwells = [one.end_s - one.start_s async for one in robot.executed() if one.seq % 2]
+    assert dwells == pytest.approx([0.2] * 10, abs=0.02)
+    assert robot._connection.last.time_s < 60.0
+
+
+@pytest.mark.parametrize(
+    ("before_s", "after_s", "restarted"), [(1e6, 0.0, False), (2147483.628, -2147483.648, False), (8e5, 0.0, True)]
+)
+async def test_a_clock_that_falls_is_a_restart_unless_its_timer_was_full(
+    robot: KukaRobot, before_s: float, after_s: float, restarted: bool
+) -> None:
+    connection = robot._connection
+    sample = replace(connection.last, time_s=before_s)
+    connection._recent = (sample,)
+    with pytest.raises(LinkError, match="has restarted") if restarted else contextlib.nullcontext():
+        connection._require_clock(replace(sample, time_s=after_s))
 
 
 async def test_a_dwell_is_executed_as_long_as_it_is_programmed(fake: FakeKuka, robot: KukaRobot) -> None:

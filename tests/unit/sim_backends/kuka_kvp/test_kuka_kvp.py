@@ -286,6 +286,58 @@ def test_without_heartbeats_the_watchdog_stops_the_motion_and_later_gives_the_ov
     assert (found.program_override, found.values["POLISHD_TRIPPED"]) == (100, False)
 
 
+FULL_MS = 1_000_000_000
+
+
+def test_the_timer_starts_again_in_a_program_and_neither_its_time_nor_the_limit_notices() -> None:
+    found = started(f"POLISHD_LIMIT=500\nPOLISHD_PHASE=2\n$VEL.CP=0.005\n{ENDLESS}")
+    found.write("$TIMER[16]", FULL_MS - 300)
+    beating(found, 10, every=1)  # the watchdog has read it
+    ran_ms, began_s = found.values["POLISHD_RUN"], found.time_s
+    assert run(found, lambda: found.state == "#P_STOP") == pytest.approx(0.5, abs=0.05)
+    assert 0 < found.values["POLISHD_CLOCK"] < 500
+    assert found.values["POLISHD_RUN"] - ran_ms == pytest.approx((found.time_s - began_s) * 1e3, abs=2e3 * FRAME_S)
+
+
+def test_with_heartbeats_a_program_runs_on_when_the_timer_starts_again() -> None:
+    found = started(f"POLISHD_LIMIT=500\n$VEL.CP=0.005\n{ENDLESS}")
+    found.write("$TIMER[16]", FULL_MS - 300)
+    beating(found, 200, every=10)
+    assert (found.state, found.values["POLISHD_TRIPPED"]) == ("#P_ACTIVE", False)
+    assert 0 < found.values["POLISHD_CLOCK"] < 200 * FRAME_S * 1e3
+
+
+@pytest.mark.parametrize("timer_ms", [2**31 - 20, -(2**31), -5])
+def test_a_timer_that_ran_over_while_the_submit_interpreter_stood_is_no_error(timer_ms: int) -> None:
+    found = started("POLISHD_TOKEN=5\nPOLISHD_LIMIT=600000\nPOLISHD_PHASE=2\nWAIT SEC 60")
+    found.write("$TIMER[16]", FULL_MS - 1)
+    beating(found, 3, every=1)
+    found.write("$TIMER[16]", timer_ms)
+    beating(found, 20, every=5)
+    assert found.read("$PRO_STATE0") == "#P_ACTIVE"
+    assert 0 < found.values["POLISHD_CLOCK"] < 20 * FRAME_S * 1e3
+
+
+def test_without_heartbeats_for_weeks_no_sum_leaves_the_range_of_int() -> None:
+    found = machine()
+    for _ in range(5):
+        found.write("$TIMER[16]", FULL_MS - 1)
+        beating(found, 5, every=0)
+    assert found.read("$PRO_STATE0") == "#P_ACTIVE"
+    assert found.values["POLISHD_QUIET"] < 2 * 600_000
+
+
+def test_a_timer_has_32_bits_and_a_sum_beyond_int_is_an_error() -> None:
+    said: list[str] = []
+    found = started("N=2147483647\nWAIT SEC 0.1\nN=N+1")
+    found.complain = lambda _line, text: said.append(text)
+    found.write("$TIMER[3]", 2**31 - 5)
+    found.write("$TIMER_STOP[3]", False)
+    run(found, lambda: found.stop_message)
+    assert found.read("$TIMER[3]") < -(2**31) + 200
+    assert said == ["2147483648 is beyond INT"]
+
+
 def test_the_watchdog_leaves_other_programs_alone() -> None:
     found = started(f"POLISHD_LIMIT=500\n$VEL.CP=0.005\n{ENDLESS}".replace("POLISHD_TOKEN=5", "POLISHD_TOKEN=0"))
     beating(found, 200, every=0)
