@@ -64,6 +64,9 @@ class DeviceType:
     """Build the device from validated options. Opens nothing."""
     takes: Callable[[Sequence[bytes]], str] | None = None
     """Robot: (blocks of a program) -> why it cannot run them, empty if it can; None: no check."""
+    takes_with_data_file: Callable[[Sequence[bytes], bytes], str] | None = None
+    """Instead of ``takes``, of a robot whose driver also delivers the file beside a program (``Program.beside``):
+    (blocks, its content) -> the same. None: the driver delivers the program alone, and a file beside it is refused."""
     own_lines: Callable[[Any, DeviceContext], OwnLines] | None = None
     """Robot: (validated options, context) -> the lines that its driver adds to a program; None: it adds none.
     ``polishd check`` refuses a program in whose format these lines mean something else."""

@@ -16,7 +16,7 @@ from polishd.daemon.cell.device_polling import missing_members
 from polishd.daemon.cell.time_limits import ActionTimeLimit, stays_on, too_short
 from polishd.daemon.contact.safety import ContactLimits
 from polishd.daemon.notifications.sender import Notifier
-from polishd.hookspecs import DeviceContext
+from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.interfaces import Device, ForceActuator, Monitor
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, PluginError, PolishdError
@@ -133,6 +133,13 @@ def require_time_limits(config: CellConfig, cell: Cell) -> tuple[ActionTimeLimit
     return chain
 
 
+DATA_FILE_STAYS = (
+    "the driver delivers the program without the file beside it. Have it posted with its positions and speeds, and "
+    "move that file to another folder."
+)
+"""Why a robot takes no program with ``beside``, where its driver does not deliver it."""
+
+
 def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program) -> None:
     """Raise ConfigError if the job's robot cannot run such a program, by the check of its device type.
 
@@ -140,7 +147,7 @@ def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program
     """
     name = config.used["robot"]
     kind, options = device_options(config, name, hooks.device_types())
-    if kind.takes is not None and (why := kind.takes(program.blocks)):
+    if why := _refusal(kind, program):
         raise config.error("program.format", f"{program.name}: {name} ({kind.name}) does not take it: {why}")
     if kind.own_lines is None:
         return
@@ -156,6 +163,15 @@ def require_accepted_by_robot(config: CellConfig, hooks: Hooks, program: Program
             f"program, and {wrong}. Set the format in which the controller reads programs, or name a controller "
             "profile whose [program] pause, dwell and end are written in this one",
         )
+
+
+def _refusal(kind: DeviceType, program: Program) -> str:
+    """Return why a robot of that type cannot run the program; empty if it can."""
+    if kind.takes_with_data_file is not None:
+        return kind.takes_with_data_file(program.blocks, program.beside)
+    if program.beside:
+        return DATA_FILE_STAYS
+    return "" if kind.takes is None else kind.takes(program.blocks)
 
 
 def _of_role(cell: Cell, key: str) -> str:

@@ -15,7 +15,7 @@ from polishd.drivers.transport.file_delivery import Folder
 from polishd.model.devices import RobotTimes
 from polishd.model.errors import ProgramError
 from polishd.sim_backends.kuka_kvp.controller import KukaController, kuka_path
-from polishd.sim_backends.kuka_kvp.device import INSTALLED, MODULES, KvpClient
+from polishd.sim_backends.kuka_kvp.device import INSTALLED, MODULES, KvpClient, read_module
 from polishd.sim_backends.kuka_kvp.krl import read_krl
 from tests.fakes.wires import Filter, unchanged
 
@@ -84,9 +84,7 @@ class FakeKuka:
         """Load the module at once."""
         module = name.rpartition("/")[2]
         try:
-            reading: Iterator[None] = self.machine.selecting(
-                module, (self.folder / f"{module.lower()}.src").read_text("latin-1")
-            )
+            reading: Iterator[None] = self.machine.selecting(module, *read_module(self.folder, module))
             for _ in reading:
                 pass
         except (OSError, ProgramError) as error:

@@ -39,6 +39,7 @@ from polishd.drivers.kuka_kvp.program import (
     begin_names,
     krl_lines,
     read_number,
+    require_declared,
 )
 from polishd.drivers.kuka_kvp.protocol import KvpLink, ProgramOrder
 from polishd.drivers.transport.address import Tcp, tcp_address
@@ -53,6 +54,8 @@ from polishd.util.files import named_path
 OPEN_S = 3.0
 BEAT_S = 0.1
 BEATS = 1 << 15
+TIMER_S = 9e5
+"""Above this time the watchdog's timer may start again: it does after 1e6 s, so that its 32 bits are never full."""
 
 
 class KvpConnection(PollingConnection[KvpLink, KukaSample]):
@@ -118,7 +121,7 @@ class KvpConnection(PollingConnection[KvpLink, KukaSample]):
 
     def _require_clock(self, sample: KukaSample) -> None:
         last = self._recent[-1] if self._recent else sample
-        if sample.session != last.session or sample.time_s < last.time_s:
+        if sample.session != last.session or sample.time_s < last.time_s < TIMER_S:
             raise LinkError(f"{self.name}: the controller or its watchdog has restarted")
         if last.time_s != sample.time_s:
             self.ticks, self._changed_s = True, time.monotonic()
@@ -215,10 +218,13 @@ class KukaRobot(ProgramRobot[KrlProgramTracker]):
         return KrlProgramTracker(plan, blocks)
 
     async def _load(self, plan: Plan, tracker: KrlProgramTracker) -> None:
-        """Deliver the module, select and start it, and wait until it waits before its first line."""
-        lines = krl_lines(self._lines)
-        file = KrlProgram(lines, self._stops(plan), secrets.randbelow((1 << 30) - 1) + 1)
+        """Deliver the module and its data list, select and start it, and wait until it waits before its first line."""
+        lines, beside = krl_lines(self._lines), plan.program.beside
+        require_declared(lines, beside)
+        file = KrlProgram(lines, self._stops(plan), secrets.randbelow((1 << 30) - 1) + 1, beside)
         await self._stop()
+        # always both: without declarations, too, those of the program before must not stay
+        await self._delivery.put(f"{NAME.lower()}.dat", file.data)
         await self._delivery.put(f"{NAME.lower()}.src", file.text)
         async with self._commands() as link:
             limit_ms = round(self._times.watchdog_s * 1e3)
@@ -380,11 +386,11 @@ def _build(options: KukaKvpOptions, context: DeviceContext) -> KukaRobot:
     return KukaRobot(address, folder, options.controller_dir, times, poll_s=poll_s, load_s=options.load_s)
 
 
-def _takes(blocks: Sequence[bytes]) -> str:
-    """Return why the controller cannot run the blocks."""
+def _takes(blocks: Sequence[bytes], beside: bytes) -> str:
+    """Return why the controller cannot run the blocks with the file beside them."""
     with contextlib.suppress(ProtocolError):
         try:
-            krl_lines(blocks)
+            require_declared(krl_lines(blocks), beside)
         except DeviceRefused as refusal:
             return str(refusal)
     return ""
@@ -396,7 +402,7 @@ DEVICE_TYPES = [
         "robot",
         KukaKvpOptions,
         _build,
-        _takes,
+        takes_with_data_file=_takes,
         program_format="krl",
         simulated_by="kuka_kvp",
         simulation_speed=4.0,

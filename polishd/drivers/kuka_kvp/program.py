@@ -18,6 +18,8 @@ from polishd.api import DeviceRefused, Plan, ProtocolError
 from polishd.drivers.transport.program_tracker import ProgramFile, ProgramTracker, time_shares
 
 LONGEST_LINE = 4096
+NAME = "POLISHD"
+"""Of the module."""
 
 _WHOLE = re.compile(r"-?\d{1,10}", re.ASCII)
 _CONSTANT = re.compile(r"#\w{1,24}", re.ASCII)
@@ -30,7 +32,7 @@ _DECLARES = re.compile(
     r"(?:DECL|EXT|EXTFCT|INT|REAL|BOOL|CHAR|E6POS|E6AXIS|POS|FRAME|AXIS)\s|(?:GLOBAL\s+)?INTERRUPT\s+DECL\s",
     re.IGNORECASE,
 )
-_OTHER = re.compile(r"[$A-Za-z_][$\w.\[\],]*\s*=|BAS\s*\(|INTERRUPT\s+ON\s", re.IGNORECASE)
+_OTHER = re.compile(r"[$A-Za-z_][$\w.\[\],]*\s*=|(?:BAS|SET_CD_PARAMS)\s*\(|INTERRUPT\s+ON\s", re.IGNORECASE)
 """Lines that take no time: assignments, and calls of the system's own set-up."""
 
 
@@ -83,6 +85,67 @@ def _code(text: bytes) -> str:
     return text.decode("latin-1").partition(";")[0].strip()
 
 
+# The names of the program: the module and its data list must declare them, or the controller would take a global one.
+
+_DECLARATION = re.compile(
+    r"(?:GLOBAL\s+)?(?:DECL\s+(?:(?:GLOBAL|CONST)\s+)*\w+|INT|REAL|BOOL|CHAR|E6POS|E6AXIS|POS|FRAME|AXIS)\s+(.+)",
+    re.IGNORECASE,
+)
+_DATA_FRAME = re.compile(r"&.*|DEFDAT\s.*|ENDDAT", re.IGNORECASE)
+_GLOBAL = re.compile(rb"^(\s*(?:DECL\s+)?)GLOBAL\s+", re.IGNORECASE)
+_INNER = re.compile(r"\{[^{}]*\}|\"[^\"]*\"|\[[^\[\]]*\]")
+_NAME = re.compile(r"(?<![\w$#.])[A-Z_]\w*(?!\w|\s*\()")
+"""A variable: no system variable, constant, component or call."""
+_WORDS = re.compile(
+    r"S?LIN|S?PTP|S?CIRC|C_(?:DIS|VEL|ORI|PTP|SPL)|WITH|TRUE|FALSE|NOT|AND|OR|EXOR|INTERRUPT|ON"
+    # of each controller's own data, and no positions
+    r"|[FPL]DAT_ACT|FHOME|[PL]DEFAULT|(?:TOOL|BASE|LOAD)_DATA"
+)
+_HOME = "XHOME"
+"""Position of each controller's own data: polishd has not checked a motion to it."""
+
+
+def _without_values(code: str) -> str:
+    """Return a line in upper case without aggregates, texts and indices."""
+    count = 1
+    while count:
+        code, count = _INNER.subn("", code)
+    return code.upper()
+
+
+def _declared(code: str) -> list[str]:
+    """Return the names that a line declares."""
+    match = _DECLARATION.fullmatch(code)
+    if match is None:
+        return []
+    return [one.partition("=")[0].strip() for one in _without_values(match[1]).split(",")]
+
+
+def require_declared(lines: Sequence[KrlLine], beside: bytes) -> None:
+    """Raise DeviceRefused for a name that neither the program nor the file beside it (``.dat``) declares."""
+    codes = [_code(line.text) for line in lines if line.declares]
+    known = {name for code in [*codes, *map(_code, beside.split(b"\n"))] for name in _declared(code)}
+    if own := sorted(name for name in known if name.startswith(NAME)):
+        raise DeviceRefused(f"it declares {own[0]}, and names with {NAME} belong to polishd. Rename it in the program.")
+    for number, line in enumerate(lines, 1):
+        if line.frame or line.declares or line.dwell_s is not None:
+            continue
+        for name in _NAME.findall(_without_values(_code(line.text))):
+            is_known = name in known or _WORDS.fullmatch(name) or (name == _HOME and not line.moves)
+            if not is_known:
+                raise DeviceRefused(
+                    f"line {number}: neither the program nor the .dat file beside it declares {name}. Put the "
+                    "declaration into the .dat file, also if the controller has it in $CONFIG.DAT."
+                )
+
+
+def data_list(beside: bytes) -> bytes:
+    """Return the data list of the module: the declarations of the file beside the program, known to the module only."""
+    lines = (line.rstrip() for line in beside.split(b"\n"))
+    kept = [_GLOBAL.sub(rb"\1", line) for line in lines if (code := _code(line)) and not _DATA_FRAME.fullmatch(code)]
+    return b"\n".join([b"&ACCESS RV", b"DEFDAT " + NAME.encode(), *kept, b"ENDDAT", b""])
+
+
 class KrlPhase(IntEnum):
     """``POLISHD_PHASE``."""
 
@@ -92,7 +155,6 @@ class KrlPhase(IntEnum):
     DONE = 3
 
 
-NAME = "POLISHD"
 _HEAD = """&ACCESS RV
 DEF {name}( )
 ;Written by polishd: the program of the plan, with what reports its progress.
@@ -124,10 +186,11 @@ _TRIGGERS = {
 
 
 class KrlProgram(ProgramFile):
-    """The module with the plan's lines, and a wait before its first line and before each stop."""
+    """The module with the plan's lines, a wait before its first line and before each stop, and its data list."""
 
-    def __init__(self, blocks: Sequence[KrlLine], stops: Iterable[int], token: int) -> None:
-        self.blocks, self.token = len(blocks), token
+    def __init__(self, blocks: Sequence[KrlLine], stops: Iterable[int], token: int, beside: bytes = b"") -> None:
+        """``beside``: content of the file beside the program, which declares its positions."""
+        self.blocks, self.token, self.data = len(blocks), token, data_list(beside)
         self.stops = tuple(sorted({stop for stop in stops if 0 < stop < self.blocks}))
         self.inserted, self.pauses = [], {}
         declarations = b"".join(line.text.strip() + b"\n" for line in blocks if line.declares).decode("latin-1")

@@ -28,6 +28,7 @@ from polishd.sim_backends.kuka_kvp.krl import (
     KrlTrigger,
     KrlValue,
     KrlWait,
+    int32,
     reading_krl,
 )
 from polishd.sim_backends.universal_robots.arm import (
@@ -209,9 +210,10 @@ SYSTEM: dict[str, KrlValue] = {
     "$BWDSTART": False, "$CMD": 0, "$H_POS": {},
     "$ROBNAME[]": "polishd", "$TRAFONAME[]": "#KR10R1100SIXX_SIM", "$KR_SERIALNO": 970001,
     "$RCV_INFO[]": "KS V8.3.21 (simulated)", "$PRO_STATE0": ACTIVE,
+    **{name: {} for name in ("FDAT_ACT", "PDAT_ACT", "LDAT_ACT", "FHOME", "PDEFAULT", "LDEFAULT")},
     **{f"{kind}_DATA[{number}]": {} for kind in ("TOOL", "BASE") for number in range(1, 33)},
 }  # fmt: skip
-"""System variables that only hold a value."""
+"""Variables of the system and of its $CONFIG.DAT that only hold a value."""
 
 
 @dataclass(slots=True)
@@ -253,6 +255,8 @@ class KukaController:
     """Motions and waits follow each other: none of its program's stops has come yet."""
     _pace: float = 1.0
     _module: KrlModule | None = None
+    _hidden: dict[str, KrlValue | None] = field(default_factory=dict)
+    """Variables of the selected module, each with the value of the global one that it hides; None: it hides none."""
     _program: Frames | None = None
     _submit: Frames | None = None
     _triggers: list[KrlTrigger] = field(default_factory=list)
@@ -272,14 +276,35 @@ class KukaController:
         self._submit = self._body(self._routines["SPS"])
         self._run(self._submit)
 
-    def selecting(self, name: str, text: str) -> Iterator[None]:
-        """Select a module, some lines of its text in each turn. ProgramError where it cannot be read."""
+    def selecting(self, name: str, text: str, data: str = "") -> Iterator[None]:
+        """Select a module, some lines of its text and of its data list in each turn.
+
+        ProgramError where one cannot be read, and for a variable that is not declared.
+        """
         module = yield from reading_krl(text)
+        listed = yield from reading_krl(data)
         if name.upper() not in module.routines:
             raise ProgramError(f"the module has no routine {name}", 1)
-        self.values |= {key: value for key, value in module.data.items() if key not in self.values}
+        if data and listed.list_of != name.upper():
+            raise ProgramError(f"the data list is that of {listed.list_of or 'no module'}", 1)
+        self._forget()
+        own = module.data | listed.data
+        declared = {key.partition("[")[0] for key in (*self.values, *own)}
+        for used, line in module.used.items():
+            if used not in declared and not used.startswith("$"):
+                raise ProgramError(f"{used} is not declared", line)
+        self._hidden = {key: self.values.get(key) for key in own}
+        self.values |= own
         self._module, self.name, self.state, self._program = module, name.upper(), RESET, None
         self.path.clear()
+
+    def _forget(self) -> None:
+        """Remove the variables of the module that was selected."""
+        for key, value in self._hidden.items():
+            self.values.pop(key, None)
+            if value is not None:
+                self.values[key] = value
+        self._hidden = {}
 
     def start(self) -> bool:
         """Press the start key."""
@@ -302,6 +327,7 @@ class KukaController:
         """Deselect the program; refused while it runs or the robot still brakes."""
         if self.state in (ACTIVE, FREE) or self.moves:
             return False
+        self._forget()
         self.state, self.name, self._module, self._program, self.waits = FREE, "", None, None, False
         self.path.clear()
         return True
@@ -336,7 +362,7 @@ class KukaController:
             return self.values[name]
         if name.startswith("$TIMER["):
             value_ms, since_s = self._timers.get(name, (0.0, None))
-            return int(value_ms + (0.0 if since_s is None else (self.time_s - since_s) * 1e3))
+            return int32(int(value_ms + (0.0 if since_s is None else (self.time_s - since_s) * 1e3)))
         if (shows := _SHOWN.get(name)) is not None:
             return shows(self)
         raise ProgramError(f"{name} is not declared", self._line)
@@ -344,7 +370,8 @@ class KukaController:
     def write(self, name: str, value: KrlValue) -> None:
         """Set a variable. ProgramError for an unknown one, and for a value of another type."""
         if name.startswith("$TIMER["):
-            self._timers[name] = (float(value), self._timers.get(name, (0.0, None))[1] and self.time_s)
+            runs = self._timers.get(name, (0.0, None))[1] is not None
+            self._timers[name] = (float(value), self.time_s if runs else None)
         elif name.startswith("$TIMER_STOP["):
             timer = name.replace("_STOP", "")
             self._timers[timer] = (float(self.read(timer)), None if value else self.time_s)

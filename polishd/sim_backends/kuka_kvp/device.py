@@ -225,8 +225,8 @@ class KukaServer:
     def _select(self, name: str, answer: Callable[[int], None]) -> Iterator[None]:
         turned_s, longest_s = time.monotonic(), 0.0
         try:
-            text = (self._folder / f"{name.lower()}.src").read_text("latin-1")
-            for _ in self.machine.selecting(name, text):
+            text, data = read_module(self._folder, name)
+            for _ in self.machine.selecting(name, text, data):
                 yield
                 longest_s, turned_s = max(longest_s, time.monotonic() - turned_s), time.monotonic()
         except (OSError, ProgramError) as error:
@@ -267,6 +267,12 @@ class KukaServer:
         if seen != self._seen:
             link.event("controller", mark, state=machine.state, mode=machine.mode, stop_message=machine.stop_message)
         self._moved, self._seen = moved, seen
+
+
+def read_module(folder: Path, name: str) -> tuple[str, str]:
+    """Return the text of a module and of its data list; that is empty where there is none. OSError."""
+    source, listed = (folder / f"{name.lower()}.{ending}" for ending in ("src", "dat"))
+    return source.read_text("latin-1"), listed.read_text("latin-1") if listed.exists() else ""
 
 
 INSTALLED = ("polishd_watch.dat", "polishd_watch.sub", "sps.sub")

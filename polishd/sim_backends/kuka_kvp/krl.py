@@ -46,8 +46,8 @@ _BINARY: dict[str, tuple[int, Callable[[Any, Any], Any]]] = {
 class _Expression:
     """Parser of one expression, by precedence."""
 
-    def __init__(self, text: str, line: int) -> None:
-        self._line = line
+    def __init__(self, text: str, line: int, used: dict[str, int]) -> None:
+        self._line, self._used = line, used
         self._tokens: list[tuple[str, str]] = []
         at = 0
         while at < len(text.rstrip()):
@@ -121,6 +121,7 @@ class _Expression:
     def _variable(self, name: str) -> Compiled:
         if name in ("TRUE", "FALSE"):
             return lambda _find: name == "TRUE"
+        self._used.setdefault(name, self._line)
         if self._takes("["):
             if self._takes("]"):
                 name += "[]"
@@ -139,6 +140,9 @@ class _Expression:
             self._at += 2
         while True:
             name = self._next()[1].upper()
+            if self._takes("["):
+                self._require("]")
+                name += "[]"
             parts[name] = self._binary(0)
             if not self._takes(","):
                 break
@@ -151,17 +155,25 @@ def _joined(act: Callable[[Any, Any], Any], left: Compiled, right: Compiled) -> 
         a, b = left(find), right(find)
         if act is operator.truediv and isinstance(a, int) and isinstance(b, int):
             return int(a / b)  # INT by INT is INT
-        return act(a, b)
+        result = act(a, b)
+        if isinstance(result, int) and int32(result) != result:
+            raise ProgramError(f"{result} is beyond INT", 0)
+        return result
 
     return value
 
 
-def compiled(text: str, line: int = 0) -> Compiled:
-    """Compile an expression. ProgramError with (message, line) where it is invalid."""
+def int32(number: int) -> int:
+    """Return a counter's value in the 32 bits of INT."""
+    return (number + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+def compiled(text: str, line: int = 0, used: dict[str, int] | None = None) -> Compiled:
+    """Compile an expression; adds its variables to ``used``. ProgramError with (message, line) where it is invalid."""
     if pose := _POSE.fullmatch(text.strip()):
         constant = dict(zip("XYZABC", map(float, pose.groups()), strict=True))
         return lambda _find: constant
-    return _Expression(text, line).whole()
+    return _Expression(text, line, {} if used is None else used).whole()
 
 
 def shown(value: KrlValue) -> str:
@@ -263,18 +275,24 @@ class KrlModule:
 
     routines: dict[str, list[KrlStatement]] = field(default_factory=dict)
     data: dict[str, KrlValue] = field(default_factory=dict)
+    used: dict[str, int] = field(default_factory=dict)
+    """Variables of its routines, without index, each with the line of its first use."""
+    list_of: str = ""
+    """Of a data list: name of its module."""
 
 
 TURN = 100
 """Lines in one turn of reading."""
 _SKIPPED = re.compile(
-    r"""(?:&.*|INI|(?:GLOBAL\s+)?INTERRUPT\s.*|BAS\s*\(.*\)|EXT(?:FCT)?\s.*"""
+    r"""(?:&.*|INI|(?:GLOBAL\s+)?INTERRUPT\s.*|(?:BAS|SET_CD_PARAMS)\s*\(.*\)|EXT(?:FCT)?\s.*"""
     r"""|\$(?:OUT|ANOUT)\[\d+\]\s*=.*)""",
     re.IGNORECASE,
 )
+_SPEED = re.compile(r"BAS\s*\(\s*#(?:VEL_CP|CP_PARAMS)\s*,(.+)\)", re.IGNORECASE)
+_DATA_LIST = re.compile(r"DEFDAT\s+(\w+)(?:\s+PUBLIC)?", re.IGNORECASE)
 _DEF = re.compile(r"(?:GLOBAL\s+)?DEF\s+(\w+)\s*\(\s*\)", re.IGNORECASE)
 _DECLARE = re.compile(
-    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(INT|REAL|BOOL|CHAR|E6POS|POS|FRAME|FDAT|LDAT|PDAT|E6AXIS|STATE_T|MODUS_T)\s+(.+)",
+    r"(?:GLOBAL\s+)?(?:DECL\s+)?(?:GLOBAL\s+)?(INT|REAL|BOOL|CHAR|E6POS|POS|FRAME|FDAT|LDAT|PDAT|E6AXIS|AXIS|LOAD|BASIS_SUGG_T|STATE_T|MODUS_T)\s+(.+)",
     re.IGNORECASE,
 )
 _MOVE = re.compile(r"(S?LIN|S?PTP)\s+(.+?)((?:\s+C_(?:DIS|VEL|ORI|PTP|SPL))*)\s*", re.IGNORECASE)
@@ -330,9 +348,13 @@ class _Reader:
         while self.at < len(self.lines):
             number, line = self.lines[self.at]
             self.at += 1
-            if _SKIPPED.fullmatch(line) or line.upper().startswith(("DEFDAT ", "ENDDAT")):
+            if self.at % TURN == 0:
+                yield
+            if _SKIPPED.fullmatch(line) or line.upper() == "ENDDAT":
                 continue
-            if match := _DEF.fullmatch(line):
+            if match := _DATA_LIST.fullmatch(line):
+                self.found.list_of = match[1].upper()
+            elif match := _DEF.fullmatch(line):
                 self.found.routines[match[1].upper()] = yield from self._body("END")
             elif match := _DECLARE.fullmatch(line):
                 self._declare(number, match)
@@ -363,7 +385,7 @@ class _Reader:
             if line.upper() in ends:
                 return body
             if match := _IF.fullmatch(line):
-                condition = compiled(match[1], number)
+                condition = self._compiled(match[1], number)
                 taken = yield from self._body("ELSE", "ENDIF")
                 more = self.lines[self.at - 1][1].upper() == "ELSE"
                 otherwise = (yield from self._body("ENDIF")) if more else []
@@ -371,35 +393,44 @@ class _Reader:
             elif line.upper() == "LOOP":
                 body.append(KrlBranch(number, None, (yield from self._body("ENDLOOP")), [], repeats=True))
             elif match := _WHILE.fullmatch(line):
-                condition = compiled(match[1], number)
+                condition = self._compiled(match[1], number)
                 body.append(KrlBranch(number, condition, (yield from self._body("ENDWHILE")), [], repeats=True))
             elif (statement := self._statement(number, line)) is not None:
                 body.append(statement)
         raise ProgramError(f"{ends[-1]} is missing", self.lines[-1][0])
 
+    def _compiled(self, text: str, number: int) -> Compiled:
+        return compiled(text, number, self.found.used)
+
     def _statement(self, number: int, line: str) -> KrlStatement | None:
         if match := _MOVE.fullmatch(line):
-            return KrlMove(number, compiled(match[2], number), match[1].upper().endswith("LIN"), bool(match[3]))
+            return KrlMove(number, self._compiled(match[2], number), match[1].upper().endswith("LIN"), bool(match[3]))
         if match := _TRIGGER.fullmatch(line):
-            return _trigger(match, number)
+            return self._trigger(match, number)
         if match := _WAIT.fullmatch(line):
-            return KrlWait(number, compiled(match[2], number), match[1].upper() == "FOR")
+            return KrlWait(number, self._compiled(match[2], number), match[1].upper() == "FOR")
+        if match := _SPEED.fullmatch(line):
+            return KrlAssign(number, KrlTarget("$VEL", None, "CP"), self._compiled(match[1], number))
         if _SKIPPED.fullmatch(line):
             return None
         if match := _DECLARE.fullmatch(line):
             self._declare(number, match)
             return None
         if match := _ASSIGN.fullmatch(line):
-            return KrlAssign(number, _target(match, number), compiled(match[4], number))
+            return KrlAssign(number, self._target(match, number), self._compiled(match[4], number))
         return _jump(number, line)
 
+    def _trigger(self, match: re.Match[str], number: int) -> KrlTrigger:
+        inner = _ASSIGN.fullmatch(match[3].strip())
+        if inner is None:
+            raise ProgramError("this controller's TRIGGER takes an assignment only", number)
+        at_end = match[1] == "1" or (match[1] is None and match[2] is None)
+        return KrlTrigger(number, at_end, self._target(inner, number), self._compiled(inner[4], number))
 
-def _trigger(match: re.Match[str], number: int) -> KrlTrigger:
-    inner = _ASSIGN.fullmatch(match[3].strip())
-    if inner is None:
-        raise ProgramError("this controller's TRIGGER takes an assignment only", number)
-    at_end = match[1] == "1" or (match[1] is None and match[2] is None)
-    return KrlTrigger(number, at_end, _target(inner, number), compiled(inner[4], number))
+    def _target(self, match: re.Match[str], number: int) -> KrlTarget:
+        self.found.used.setdefault(match[1].upper(), number)
+        index = self._compiled(match[2], number) if match[2] else None
+        return KrlTarget(match[1].upper(), index, (match[3] or "").upper())
 
 
 def _jump(number: int, line: str) -> KrlStatement:
@@ -411,11 +442,6 @@ def _jump(number: int, line: str) -> KrlStatement:
     if match is None or match[2].strip():
         raise ProgramError(f"syntax error at {line[:40]!r}", number)
     return KrlCall(number, match[1].upper())
-
-
-def _target(match: re.Match[str], number: int) -> KrlTarget:
-    index = compiled(match[2], number) if match[2] else None
-    return KrlTarget(match[1].upper(), index, (match[3] or "").upper())
 
 
 def _constant(name: str) -> KrlValue:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from functools import partial
@@ -12,7 +13,8 @@ from typing import Any
 import pytest
 
 from polishd.api import DeviceFault, DeviceRefused, LinkError
-from polishd.drivers.kuka_kvp.driver import KukaRobot
+from polishd.drivers.kuka_kvp import driver
+from polishd.drivers.kuka_kvp.driver import TIMER_S, KukaRobot
 from polishd.drivers.kuka_kvp.protocol import KvpLink
 from polishd.drivers.transport.address import Tcp
 from tests.fakes.kuka import TIMES, FakeKuka, krl, kuka_robot
@@ -37,8 +39,9 @@ async def robot(fake: FakeKuka) -> AsyncIterator[KukaRobot]:
     await found.close()
 
 
-async def prepared(robot: KukaRobot, lines: list[bytes]) -> None:
+async def prepared(robot: KukaRobot, lines: list[bytes], beside: bytes = b"") -> None:
     plan = plan_of(lines)
+    plan = replace(plan, program=replace(plan.program, beside=beside))
     await robot.prepare(plan)
     await robot.send(plan.segments)
 
@@ -162,8 +165,40 @@ async def test_a_line_that_the_controller_cannot_read_is_refused_and_nothing_is_
     fake: FakeKuka, robot: KukaRobot
 ) -> None:
     with pytest.raises(DeviceRefused, match=r"does not select /R1/PROGRAM/POLISHD: general error\. Read"):
-        await prepared(robot, [*LINES, b"LIN {X"])
+        await prepared(robot, [*LINES, b"LIN {X 1}}"])
     assert fake.machine.state == "#P_FREE"
+
+
+def listed(x: float) -> bytes:
+    """Return a file beside the program that declares XP1 at that x."""
+    return b"DEFDAT part PUBLIC\nDECL GLOBAL E6POS XP1={X %.1f,Y 0,Z 60,A 0,B 0,C 180,S 2,T 35}\nENDDAT\n" % x
+
+
+async def test_the_positions_of_the_file_beside_the_program_reach_the_robot(fake: FakeKuka, robot: KukaRobot) -> None:
+    for x in (2.0, 3.0):  # the second does not go where the first went
+        await prepared(robot, [b"DEF part( )", b"$VEL.CP=0.05", b"LIN XP1", b"END"], listed(x))
+        await robot.resume()
+        assert await executed(robot, 4) == 4
+        assert fake.machine.path.pose.xyz_mm[0] == pytest.approx(x)
+    await prepared(robot, LINES)
+    assert b"XP1" not in (fake.folder / "polishd.dat").read_bytes()
+
+
+async def test_a_name_that_nothing_declares_is_refused_and_nothing_is_delivered(
+    fake: FakeKuka, robot: KukaRobot
+) -> None:
+    with pytest.raises(DeviceRefused, match=r"line 1: neither .* declares XHOME"):
+        await prepared(robot, [b"PTP XHOME", b"LIN XP1"], listed(1.0))
+    assert not list(fake.folder.iterdir())
+
+
+async def test_the_controller_refuses_a_name_that_nothing_declares(
+    fake: FakeKuka, robot: KukaRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver, "require_declared", lambda _lines, _beside: None)
+    with pytest.raises(DeviceRefused, match=r"does not select /R1/PROGRAM/POLISHD"):
+        await prepared(robot, [b"LIN XP1"])
+    assert "XP1 is not declared" in fake.complaints[0][1]
 
 
 async def test_a_share_that_cannot_be_written_is_refused(fake: FakeKuka) -> None:
@@ -221,6 +256,29 @@ async def test_a_restarted_controller_has_lost_the_program(fake: FakeKuka, robot
     fake.machine.write("POLISHD_SESSION", 5)
     with pytest.raises(LinkError, match="has restarted"):
         await executed(robot, len(SLOW))
+
+
+async def test_the_watchdogs_timer_may_start_again_in_a_pass(fake: FakeKuka, robot: KukaRobot) -> None:
+    fake.machine.write("$TIMER[16]", 1_000_000_000 - 1500)
+    await prepared(robot, [line for at in range(10) for line in (krl(at), b"WAIT SEC 0.200")])
+    assert robot._connection.last.time_s > TIMER_S
+    await robot.resume()
+    dwells = [one.end_s - one.start_s async for one in robot.executed() if one.seq % 2]
+    assert dwells == pytest.approx([0.2] * 10, abs=0.02)
+    assert robot._connection.last.time_s < 60.0
+
+
+@pytest.mark.parametrize(
+    ("before_s", "after_s", "restarted"), [(1e6, 0.0, False), (2147483.628, -2147483.648, False), (8e5, 0.0, True)]
+)
+async def test_a_clock_that_falls_is_a_restart_unless_its_timer_was_full(
+    robot: KukaRobot, before_s: float, after_s: float, restarted: bool
+) -> None:
+    connection = robot._connection
+    sample = replace(connection.last, time_s=before_s)
+    connection._recent = (sample,)
+    with pytest.raises(LinkError, match="has restarted") if restarted else contextlib.nullcontext():
+        connection._require_clock(replace(sample, time_s=after_s))
 
 
 async def test_a_dwell_is_executed_as_long_as_it_is_programmed(fake: FakeKuka, robot: KukaRobot) -> None:

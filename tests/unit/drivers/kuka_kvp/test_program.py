@@ -13,7 +13,9 @@ from polishd.drivers.kuka_kvp.program import (
     KrlProgram,
     KrlProgramTracker,
     KukaSample,
+    data_list,
     krl_lines,
+    require_declared,
 )
 from tests.programs import plan_of
 
@@ -82,6 +84,73 @@ def test_it_waits_before_its_first_line_and_before_each_stop() -> None:
 def test_what_cannot_be_followed_is_refused_with_its_block(line: bytes, why: str) -> None:
     with pytest.raises(DeviceRefused, match=why.replace("'", ".")):
         krl_lines([b"DEF P( )", line, b"LIN P1", b"END"])
+
+
+DAT = b"""&ACCESS RVP\r
+DEFDAT POLISH PUBLIC\r
+;FOLD EXTERNAL DECLARATIONS\r
+EXT  BAS (BAS_COMMAND  :IN,REAL  :IN )\r
+; DECL E6POS XP9={X 0,Y 0,Z 0,A 0,B 0,C 0}\r
+DECL GLOBAL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 0.0,C 180.0,S 2,T 35}\r
+  GLOBAL REAL Speed=0.02, LIST[2,3]\r
+DECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,AUX {A 1,B 2}}\r
+DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,POINT2[] "a, B=1"}\r
+ENDDAT\r
+"""
+
+
+def test_the_data_list_has_the_declarations_of_the_file_beside_for_the_module_only() -> None:
+    assert data_list(DAT).decode().splitlines() == [
+        "&ACCESS RV",
+        "DEFDAT POLISHD",
+        "EXT  BAS (BAS_COMMAND  :IN,REAL  :IN )",
+        "DECL E6POS XP1={X 1.0,Y 2.0,Z 3.0,A 0.0,B 0.0,C 180.0,S 2,T 35}",
+        "  REAL Speed=0.02, LIST[2,3]",
+        "DECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,AUX {A 1,B 2}}",
+        'DECL FDAT FP1={TOOL_NO 1,BASE_NO 1,POINT2[] "a, B=1"}',
+        "ENDDAT",
+    ]
+    assert data_list(b"") == b"&ACCESS RV\nDEFDAT POLISHD\nENDDAT\n"
+
+
+DECLARED = [
+    b"INI",
+    b"$H_POS=XHOME",
+    b"PDAT_ACT=PDEFAULT",
+    b"FDAT_ACT=FP1",
+    b"SET_CD_PARAMS (0)",
+    b"BAS (#CP_PARAMS,0.02)",
+    b"$VEL.CP=speed",
+    b"list[1,2]=1.5E3",
+    b"LIN xp1 C_DIS ; XP8",
+    b"SLIN XP1 WITH $VEL=SVEL_CP(0.1,,LCPDAT1),$TOOL=STOOL2(FP1),$BASE=SBASE(FP1.BASE_NO) C_SPL",
+]
+
+
+def test_names_that_the_program_or_the_file_beside_it_declares_are_known() -> None:
+    require_declared(krl_lines([*DECLARED, b"DECL INT N", b"N=1"]), DAT)
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        (b"PTP XHOME", "XHOME"),
+        (b"LIN XP9", "XP9"),
+        (b"CIRC XP1,XP2", "XP2"),
+        (b"$VEL.CP=FAST", "FAST"),
+        (b"XP3={X 1,Y 2,Z 3,A 0,B 0,C 180}", "XP3"),
+        (b"FDAT_ACT=FP2", "FP2"),
+        (b"B=1", "B"),
+    ],
+)
+def test_a_name_that_nothing_declares_is_refused_with_its_line(line: bytes, name: str) -> None:
+    with pytest.raises(DeviceRefused, match=rf"line 11: neither the program nor the \.dat .* declares {name}\. Put"):
+        require_declared(krl_lines([*DECLARED, line]), DAT)
+
+
+def test_a_name_of_polishds_own_is_refused() -> None:
+    with pytest.raises(DeviceRefused, match=r"declares POLISHD_BLOCK, and names .* Rename it"):
+        require_declared(krl_lines([b"DECL INT POLISHD_BLOCK", b"WAIT SEC 1"]), b"")
 
 
 def test_a_program_of_another_language_is_refused() -> None:

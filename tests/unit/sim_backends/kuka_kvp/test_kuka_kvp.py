@@ -32,10 +32,14 @@ def machine(overhead_s: float = OVERHEAD_S) -> KukaController:
 
 def started(body: str, **more: float) -> KukaController:
     found = machine(**more)
-    for _ in found.selecting("P", f"DEF P( )\nINT N\nINT M\nPTP $AXIS_ACT\nWAIT SEC 0\n{body}\nEND\n"):
-        pass
+    select(found, f"DEF P( )\nINT N\nINT M\nPTP $AXIS_ACT\nWAIT SEC 0\n{body}\nEND\n")
     assert found.start()
     return found
+
+
+def select(found: KukaController, text: str, data: str = "") -> None:
+    for _ in found.selecting("P", text, data):
+        pass
 
 
 def lin(x: float, more: str = "") -> str:
@@ -217,12 +221,45 @@ def test_an_error_of_the_program_stops_it_with_a_message() -> None:
     said: list[tuple[int, str]] = []
     found = machine()
     found.complain = lambda line, text: said.append((line, text))
-    for _ in found.selecting("P", "DEF P( )\nNOWHERE=1\nEND\n"):
-        pass
+    select(found, "DEF P( )\n$VEL.CP=0\nLIN {X 1,Y 0,Z 60,A 0,B 0,C 180}\nEND\n")
     found.start()
     found.frame()
-    assert said == [(2, "NOWHERE is not declared")]
+    assert said == [(3, "$VEL.CP and $ACC.CP must be above 0")]
     assert (found.state, found.stop_message) == ("#P_STOP", True)
+
+
+def data_list(x: float) -> str:
+    pose = f"X {x},Y 0.0,Z 60.0,A 0.0,B 0.0,C 180.0,S 2,T 35,E1 0.0"
+    frame = '{TOOL_NO 1,BASE_NO 1,IPO_FRAME #BASE,POINT2[] " "}'
+    return f"&ACCESS RV\nDEFDAT P PUBLIC\nDECL E6POS XP1={{{pose}}}\nDECL FDAT FP1={frame}\nENDDAT\n"
+
+
+def test_a_module_takes_its_positions_from_its_data_list_and_from_no_earlier_one() -> None:
+    found, text = machine(), "DEF P( )\nFDAT_ACT=FP1\nBAS (#CP_PARAMS,0.05)\nLIN XP1\nEND\n"
+    for x in (4.0, 6.0):
+        select(found, text, data_list(x))
+        assert found.start()
+        to_end(found)
+        assert found.path.pose.xyz_mm[0] == pytest.approx(x)
+    assert found.cancel()
+    with pytest.raises(ProgramError, match="XP1 is not declared"):
+        found.read("XP1")
+
+
+@pytest.mark.parametrize(
+    ("text", "data", "why"),
+    [
+        ("LIN XP2", data_list(1.0), "XP2 is not declared"),
+        ("LIN XP1", "", "XP1 is not declared"),
+        ("N=1", "", "N is not declared"),
+        ("LIN XP1", data_list(1.0).replace("DEFDAT P", "DEFDAT Q"), "the data list is that of Q"),
+    ],
+)
+def test_a_name_without_a_declaration_is_refused_when_the_module_is_selected(text: str, data: str, why: str) -> None:
+    found = machine()
+    with pytest.raises(ProgramError, match=why):
+        select(found, f"DEF P( )\n{text}\nEND\n", data)
+    assert found.state == "#P_FREE"
 
 
 # The shipped watchdog, as the submit interpreter runs it.
@@ -247,6 +284,58 @@ def test_without_heartbeats_the_watchdog_stops_the_motion_and_later_gives_the_ov
     assert found.cancel()
     beating(found, 2, every=0)
     assert (found.program_override, found.values["POLISHD_TRIPPED"]) == (100, False)
+
+
+FULL_MS = 1_000_000_000
+
+
+def test_the_timer_starts_again_in_a_program_and_neither_its_time_nor_the_limit_notices() -> None:
+    found = started(f"POLISHD_LIMIT=500\nPOLISHD_PHASE=2\n$VEL.CP=0.005\n{ENDLESS}")
+    found.write("$TIMER[16]", FULL_MS - 300)
+    beating(found, 10, every=1)  # the watchdog has read it
+    ran_ms, began_s = found.values["POLISHD_RUN"], found.time_s
+    assert run(found, lambda: found.state == "#P_STOP") == pytest.approx(0.5, abs=0.05)
+    assert 0 < found.values["POLISHD_CLOCK"] < 500
+    assert found.values["POLISHD_RUN"] - ran_ms == pytest.approx((found.time_s - began_s) * 1e3, abs=2e3 * FRAME_S)
+
+
+def test_with_heartbeats_a_program_runs_on_when_the_timer_starts_again() -> None:
+    found = started(f"POLISHD_LIMIT=500\n$VEL.CP=0.005\n{ENDLESS}")
+    found.write("$TIMER[16]", FULL_MS - 300)
+    beating(found, 200, every=10)
+    assert (found.state, found.values["POLISHD_TRIPPED"]) == ("#P_ACTIVE", False)
+    assert 0 < found.values["POLISHD_CLOCK"] < 200 * FRAME_S * 1e3
+
+
+@pytest.mark.parametrize("timer_ms", [2**31 - 20, -(2**31), -5])
+def test_a_timer_that_ran_over_while_the_submit_interpreter_stood_is_no_error(timer_ms: int) -> None:
+    found = started("POLISHD_TOKEN=5\nPOLISHD_LIMIT=600000\nPOLISHD_PHASE=2\nWAIT SEC 60")
+    found.write("$TIMER[16]", FULL_MS - 1)
+    beating(found, 3, every=1)
+    found.write("$TIMER[16]", timer_ms)
+    beating(found, 20, every=5)
+    assert found.read("$PRO_STATE0") == "#P_ACTIVE"
+    assert 0 < found.values["POLISHD_CLOCK"] < 20 * FRAME_S * 1e3
+
+
+def test_without_heartbeats_for_weeks_no_sum_leaves_the_range_of_int() -> None:
+    found = machine()
+    for _ in range(5):
+        found.write("$TIMER[16]", FULL_MS - 1)
+        beating(found, 5, every=0)
+    assert found.read("$PRO_STATE0") == "#P_ACTIVE"
+    assert found.values["POLISHD_QUIET"] < 2 * 600_000
+
+
+def test_a_timer_has_32_bits_and_a_sum_beyond_int_is_an_error() -> None:
+    said: list[str] = []
+    found = started("N=2147483647\nWAIT SEC 0.1\nN=N+1")
+    found.complain = lambda _line, text: said.append(text)
+    found.write("$TIMER[3]", 2**31 - 5)
+    found.write("$TIMER_STOP[3]", False)
+    run(found, lambda: found.stop_message)
+    assert found.read("$TIMER[3]") < -(2**31) + 200
+    assert said == ["2147483648 is beyond INT"]
 
 
 def test_the_watchdog_leaves_other_programs_alone() -> None:
