@@ -96,7 +96,7 @@ RECOVERED = (
     Script("instrument takes 3 s to write", 2.0, {"interferometer": {"write_s": 3.0}}),
     Script("daemon stopped for 0.3 s", 2.0, {}, "in contact", lambda cell: cell.pause("daemon", 0.3)),
     # A robot without progress for about 0.3 s ends contact: 0.1 s must not, 1 s must.
-    Script("robot stands for 0.1 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.1)),
+    Script("robot stopped for 0.1 s", 2.0, {}, "in contact", lambda cell: cell.pause("robot", 0.1)),
     Script("daemon killed between jobs", 2.0, {}, "between jobs", SoakCell.kill_daemon, restarts=1),
 )
 """Scripts that polishd completes alone."""
@@ -153,7 +153,7 @@ BY_A_PERSON = (
         after=(AWAY,),
     ),
     Script(
-        "robot stands for 1 s",
+        "robot stopped for 1 s",
         1.5,
         {},
         "in contact",
