@@ -24,9 +24,9 @@ Check = Callable[[Plan, Envelope], Iterator[str]]
 
 
 def text(plan: Plan, envelope: Envelope) -> Iterator[str]:  # noqa: ARG001  one signature for all checks
-    """The hash is that of the text, and the segments are the text's lines, numbered from 0."""
+    """The hash is that of the text with the file beside it, and the segments are the text's lines, numbered from 0."""
     program = plan.program
-    sha256 = hashlib.sha256(program.text).hexdigest()
+    sha256 = hashlib.sha256(program.text + program.beside).hexdigest()
     if sha256 != program.sha256:
         yield f"the program's sha256 is {sha256[:12]}…, the plan says {program.sha256[:12]}…"
     if not plan.segments:

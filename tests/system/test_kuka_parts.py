@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
 from polishd.commissioning.rehearsal.simulated_cell import DemoFiles, free_port, simulated_cell
+from polishd.config.cell import load_config
 from tests.system.agreement import require_agreement
 from tests.system.cell_rig import Daemon, account, events, summary, with_keys, with_part, write_small
 from tests.system.kuka_rig import module, take, write_files
@@ -35,6 +37,23 @@ def test_the_seat_is_measured_by_a_touch_off_before_the_pass(tmp_path: Path) -> 
         assert len(account(files)["stands"]) >= 3
         assert len(events(files, "program_loaded")) == 4
         require_agreement(files)
+
+
+def test_a_program_runs_with_the_positions_of_the_dat_beside_it(tmp_path: Path) -> None:
+    files = write_files(tmp_path / "cell", **ONE_PASS)
+    path = load_config(files.cell).program_path
+    poses: list[bytes] = []
+
+    def name(pose: re.Match[bytes]) -> bytes:
+        poses.append(b"DECL GLOBAL E6POS XP%d=%s" % (len(poses), pose[0]))
+        return b"XP%d" % (len(poses) - 1)
+
+    path.write_bytes(re.sub(rb"\{.*?\}", name, path.read_bytes()))
+    path.with_suffix(".dat").write_bytes(b"\n".join([b"DEFDAT polish PUBLIC", *poses, b"ENDDAT", b""]))
+    with cell(files), Daemon(files, "--no-hold") as daemon:
+        assert daemon.wait() == 1, daemon.output.read_text()
+        require_agreement(files)
+    assert len(poses) > 100
 
 
 @pytest.mark.slow

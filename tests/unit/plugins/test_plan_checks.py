@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -52,6 +53,12 @@ def changed(column: str, index: tuple[int, ...], value: float) -> Plan:
 def test_a_good_plan_passes(text: bytes) -> None:
     assert judge(plan_of(text)) == []
     assert judge(replace(plan_of(text), segments=())) == []
+
+
+def test_the_hash_covers_the_file_beside_the_program() -> None:
+    both = hashlib.sha256(FEED + b"DEFDAT").hexdigest()
+    assert judge(with_program(beside=b"DEFDAT", sha256=both)) == []
+    assert "sha256" in judge(with_program(beside=b"DEFDAT "))[0]
 
 
 BAD: dict[str, tuple[Callable[[], Plan], str]] = {
