@@ -30,6 +30,10 @@ _FRAME = re.compile(r"(UFRAME_NUM|UTOOL_NUM)\s*=\s*(\d+)")
 _POSITION = re.compile(rf"\s*{_LABEL}\s*\{{")
 _FRAMES = re.compile(r"\bUF\s*:\s*(\d+)\s*,\s*UT\s*:\s*(\d+)")
 _CONFIG = re.compile(r"\bCONFIG\s*:\s*'([^']*)'")
+_ARM = re.compile(  # a CONFIG without its blanks
+    r"(?P<flip>[NF])(?P<left>[LR]?)(?P<up>[UD])(?P<front>[TB])"
+    r",(?P<turn4>[-+]?\d+),(?P<turn5>[-+]?\d+),(?P<turn6>[-+]?\d+)"
+)
 _VALUE = re.compile(r"\b([XYZWPR])\s*=\s*([-+]?[0-9.]+)\s*(?:mm|deg)")
 _MM_S = {"cm/min": 1.0 / 6.0, "inch/min": 25.4 / 60.0, "mm/sec": 1.0}
 _S = {"sec": 1.0, "msec": 1e-3}
@@ -72,28 +76,37 @@ def positions_of(lines: Sequence[bytes]) -> dict[int, TpPosition]:
     """Return the positions behind ``/POS``, by number. DeviceRefused for one that cannot be read."""
     found: dict[int, TpPosition] = {}
     text = b"\n".join(lines).decode("latin-1")
+    line, at = 1, 0
     for match in re.finditer(rf"^{_POSITION.pattern}([^}}]*)\}}", text, re.MULTILINE):
-        found[int(match[1])] = _position(int(match[1]), match[2])
+        line, at = line + text.count("\n", at, match.start(2)), match.start(2)
+        found[int(match[1])] = _position(int(match[1]), match[2], line)
     return found
 
 
-def _position(number: int, text: str) -> TpPosition:
+def _position(number: int, text: str, line: int) -> TpPosition:
+    """Read what stands between the braces of a position, which begins in that line."""
     frames, config = _FRAMES.search(text), _CONFIG.search(text)
     values = {name: float(value) for name, value in _VALUE.findall(text)}
     if frames is None or config is None or set(values) != set("XYZWPR"):
         raise DeviceRefused(
             f"P[{number}] lacks UF, UT, CONFIG or one of X, Y, Z, W, P, R. Have it posted as a Cartesian position."
         )
-    letters, *turns = [part.strip() for part in config[1].split(",")]
-    flip = letters.split()
+    posture = _ARM.fullmatch(re.sub(r"\s", "", config[1]))
+    if posture is None:
+        line += text.count("\n", 0, config.start())
+        raise DeviceRefused(
+            f"line {line}: the CONFIG of P[{number}] is '{config[1]}', not N or F, L or R (or neither), U or D, T or "
+            "B, and three turn numbers. Have it posted as in CONFIG : 'N U T, 0, 0, 0': with another arm configuration "
+            "the robot may flip its arm."
+        )
     configuration = {
         "UToolNumber": int(frames[2]),
         "UFrameNumber": int(frames[1]),
-        "Front": int("T" in flip),
-        "Up": int("U" in flip),
-        "Left": int("L" in flip),
-        "Flip": int("F" in flip),
-        **{f"Turn{axis}": int(turn) for axis, turn in zip((4, 5, 6), (*turns, 0, 0, 0), strict=False)},
+        "Front": int(posture["front"] == "T"),
+        "Up": int(posture["up"] == "U"),
+        "Left": int(posture["left"] == "L"),
+        "Flip": int(posture["flip"] == "F"),
+        **{f"Turn{axis}": int(posture[f"turn{axis}"]) for axis in (4, 5, 6)},
     }
     return TpPosition(configuration, values)
 

@@ -23,7 +23,7 @@ M_NEUTRAL, M_ENDS, M_STOPS = 1, 2, 3
 WORDS = 64
 BARE, NAMES = 26, 27
 """Code of a number without a letter, and of the first name; letters are 0 to 25."""
-L_F, L_N, L_R = 5, 13, 17
+L_D, L_F, L_H, L_N, L_R = 3, 5, 7, 13, 17
 
 # Units of a dwell's number.
 U_NONE, U_S, U_MS, U_REFUSE = 0, 1, 2, 3
@@ -41,8 +41,8 @@ G93_REFUSE, G93_PER_MINUTE, G93_SECONDS = 0, 1, 2
 (
     LINE, MOTION, FEED_MODE, DISTANCE, UNIT, PLANE, WCS, F_LINE, F_STYLE, DWELLS_FOR, DWELLED, MOVES, DWELL_COUNT,
     OPENED, ENDED, VECTORING, NAMED, FED, PROGRAM, UNSURE, UNSURE_FEED, COLUMN, CODE, NEXT, N_MOVES, N_DWELLS, N_MODES,
-    GROUPS, LETTERS, TAIL, GAPPED, PADDED, LOWER, AT_SIZE,
-) = range(34)  # fmt: skip
+    GROUPS, LETTERS, TAIL, GAPPED, PADDED, LOWER, D_NUMBER, H_NUMBER, D_FED, H_FED, AT_SIZE,
+) = range(38)  # fmt: skip
 SAID_INVERSE, SAID_PER_MINUTE = 1, 2
 SAID_ABSOLUTE, SAID_INCREMENTAL = 1, 2
 # Which slot an action sets, and to what; -1: what it does is more than that. Indexed by action.
@@ -108,10 +108,19 @@ def move(t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
     if kind != RAPID:
         if math.isnan(now[FEED]) or (inverse and at[F_LINE] != at[LINE]):
             raise ProgramError("a feed move without F", "write F into the block (in G93 into every block)")
+        _require_one_offset(at)
         at[FED], at[DWELLS_FOR] = 1, at[MOVES]
         if inverse:
             kind += K_INVERSE
     _add_move(kind, at, now, line, out)
+
+
+def _require_one_offset(at: Any) -> None:
+    """Refuse a feed move with another tool offset (D, H) than at the first one: it moves the path."""
+    if at[FED] == 0:
+        at[D_FED], at[H_FED] = at[D_NUMBER], at[H_NUMBER]
+    elif at[D_FED] != at[D_NUMBER] or at[H_FED] != at[H_NUMBER]:
+        raise ProgramError("the tool offset changes in mid-program", "have it posted with one tool and one offset")
 
 
 def _add_move(kind: int, at: Any, now: Any, line: Any, out: Any) -> None:
@@ -135,7 +144,16 @@ def _add_move(kind: int, at: Any, now: Any, line: Any, out: Any) -> None:
 
 
 def _go(t: Any, at: Any, now: Any, line: Any) -> None:
-    """Move the axes that the block names."""
+    """Move the axes that the block names.
+
+    A tool vector is stated whole: Siemens (A3, B3, C3) and Fanuc (I, J, K under G43.5) take a component that the block
+    leaves out as 0. A block without any keeps the vector, and one that turns a rotary axis leaves it unknown.
+    """
+    if _names_any(6, AXES, t, line):
+        if at[VECTORING]:
+            now[6] = now[7] = now[8] = 0.0
+    elif _names_any(3, 6, t, line):
+        now[6] = now[7] = now[8] = math.nan
     for axis in range(AXES):
         word = line.at[t.axis_word[axis]] if t.axis_word[axis] >= 0 else -1
         if word < 0 or (axis >= 6 and at[VECTORING] == 0):
@@ -152,6 +170,14 @@ def _go(t: Any, at: Any, now: Any, line: Any) -> None:
             if math.isnan(value):
                 raise ProgramError("G91 before any absolute position of the axis", "start with an absolute move (G90)")
         now[axis] = value
+
+
+def _names_any(first: int, end: int, t: Any, line: Any) -> bool:
+    """Whether the block names one of the axes ``first`` to ``end`` - 1."""
+    found = False
+    for axis in range(first, end):
+        found = found or (t.axis_word[axis] >= 0 and line.at[t.axis_word[axis]] >= 0)
+    return found
 
 
 def _as_meant(value: float, style: int, unit_mm: float, t: Any, at: Any) -> float:
@@ -174,8 +200,9 @@ def leave(t: Any, at: Any, now: Any, line: Any, out: Any) -> None:
     if (at[GROUPS] >> MACHINE) & 1 and at[MOTION] != RAPID:
         raise ProgramError("a feed move in machine coordinates", "have it posted in work coordinates")
     everything = not at[LETTERS] & HAS_AXIS
-    for axis in range(6):
-        if everything or (t.axis_word[axis] >= 0 and line.at[t.axis_word[axis]] >= 0):
+    turned = everything or _names_any(3, AXES, t, line)
+    for axis in range(AXES):
+        if everything or (turned and axis >= 6) or (t.axis_word[axis] >= 0 and line.at[t.axis_word[axis]] >= 0):
             now[axis] = math.nan
     at[DWELLS_FOR], at[DWELLED] = -1, 0
     _add_move(RAPID, at, now, line, out)

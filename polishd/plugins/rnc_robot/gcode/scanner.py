@@ -227,6 +227,11 @@ def _add_word(code: int, role: int, word: int, count: int, at: Any, line: Any) -
             raise ProgramError("the word is not known", "")
         at[c.PROGRAM] = 1
     line.at[code] = word
+    _keep_kind(code, role, line.f[word], at)
+
+
+def _keep_kind(code: int, role: int, value: float, at: Any) -> None:
+    """Keep that the block has a word of this kind, and the number of a tool offset."""
     if role == c.R_AXIS:
         at[c.LETTERS] |= c.HAS_AXIS
     elif role == c.R_TIME:
@@ -235,6 +240,10 @@ def _add_word(code: int, role: int, word: int, count: int, at: Any, line: Any) -
         at[c.LETTERS] |= c.HAS_P
     elif role == c.R_ARC:
         at[c.LETTERS] |= c.HAS_ARC
+    elif role == c.R_NEUTRAL and code == c.L_D:
+        at[c.D_NUMBER] = int(value)
+    elif role == c.R_NEUTRAL and code == c.L_H:
+        at[c.H_NUMBER] = int(value)
 
 
 def _add_g(value: float, t: Any, at: Any, now: Any) -> None:

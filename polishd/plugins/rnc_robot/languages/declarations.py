@@ -59,6 +59,12 @@ def take_speed(found: Scan, statement: MatchedStatement) -> None:
 def take_context(found: Scan, statement: MatchedStatement) -> None:
     """A tool and a frame declared under a name."""
     name = found.folded(statement.text("context_name") or "")
+    if statement.text("held_part") is not None:
+        raise found.refuse(
+            statement,
+            "a tool and a frame of a part that the robot holds: they swap their roles",
+            "have it posted for a tool at the flange",
+        )
     found.named_contexts[name] = statement.text("tool"), statement.text("frame")
 
 

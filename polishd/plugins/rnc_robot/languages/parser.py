@@ -22,6 +22,7 @@ from polishd.plugins.rnc_robot.languages.program_scan import (
     Scan,
     StatedTime,
     context_at,
+    feed_unit_mm_min,
     is_number,
     modal_place,
     name_of_feed,
@@ -62,6 +63,7 @@ def scan(
     for statement in statements(profile, found.source):
         if found.finished:
             raise found.refuse(statement, "a statement after the end of the program", "remove it")
+        _require_running(found, statement)
         if found.kept is not None:
             found.kept.append(statement)
         found.line = statement.line
@@ -129,6 +131,7 @@ def _move(found: Scan, statement: MatchedStatement) -> None:
         raise found.refuse(statement, f"the position {target} is not declared before its use", found.undeclared)
     _keep_motion(found, statement, move, stated)
     found.slowed_line = found.slowed_line or found.override_line
+    found.limited_line = found.limited_line or found.limit_line
     _leave_bare(found)
     found.moves += 1
     found.last = found.at = move
@@ -194,8 +197,10 @@ def _approach(found: Scan, statement: MatchedStatement) -> None:
     elif found.columns is not None and "x" in fields and statement.text("x") is not None:
         place = place_of(found, statement)
     if "x" not in fields:  # it leads to a location that the program does not state
-        for axis in "xyz":
-            found.axes.pop(axis, None)
+        machine = statement.text("machine")
+        for axis in ("x", "y", "z", *found.profile.orientation.fields) if machine else "xyz":
+            if machine is None or axis in machine.lower():
+                found.axes[axis] = math.nan
     if found.columns is not None:
         named = None if target is None else found.folded(target)
         move = Move(
@@ -271,6 +276,8 @@ def _neutral(found: Scan, statement: MatchedStatement) -> None:
         found.zones[name_of_feed(found, statement)] = zone
     if (override := statement.text("override")) is not None:
         found.override_line = 0 if _is_whole(override) else statement.line
+    if (limit := statement.text("speed_limit")) is not None:
+        found.limit_line = 0 if _is_high(found, limit) else statement.line
     if (feed := statement.text("feed")) is not None:
         found.feeds[name_of_feed(found, statement)] = ModalFeed(
             feed, statement.text("feed_unit") or "", statement.match.span("feed")
@@ -280,6 +287,13 @@ def _neutral(found: Scan, statement: MatchedStatement) -> None:
 def _is_whole(override: str) -> bool:
     """Whether an override is 100 %."""
     return is_number(override) and float(override) == 100
+
+
+def _is_high(found: Scan, limit: str) -> bool:
+    """Whether a limit of the speed lets all timed moves have the speeds that they state, or that are written later."""
+    rules = found.profile.move_time
+    least = 0.0 if rules is None else 60 * rules.greatest_mm_s
+    return is_number(limit) and float(limit) * feed_unit_mm_min(found, "") >= least * (1 - 1e-9)
 
 
 def _assumed(found: Scan, statement: MatchedStatement) -> None:
@@ -358,6 +372,21 @@ _TAKE = {
     "speed": take_speed, "context": take_context, "neutral": _neutral, "assumed": _assumed, "begin": _begin,
     "end": _end, "run": _run, "call": _call, "finish": _finish,
 }  # fmt: skip
+
+
+def _require_running(found: Scan, statement: MatchedStatement) -> None:
+    """ProgramError at a motion or dwell behind the statement that ends the program."""
+    if found.ended_line and statement.kind in _MOTION:
+        raise found.refuse(
+            statement,
+            f"a motion or dwell after the end of the program in line {found.ended_line}",
+            "remove it, or the end before it",
+        )
+    if statement.text("ends") is not None:
+        found.ended_line = statement.line
+
+
+_MOTION = frozenset({"move", "approach", "dwell", "dwell_in_position"})
 
 
 def _inside(found: Scan, statement: MatchedStatement) -> None:

@@ -287,18 +287,23 @@ class Statements(_Strict):
     dwell_in_position: Templates = []
     """A wait that begins only when the robot stands still."""
     approach: Templates = []
-    """Any other motion: it leads to no point. With ``target`` or a pose it says where the next move begins."""
+    """Any other motion: it leads to no point. With ``target`` or a pose it says where the next move begins.
+
+    ``machine``: words in machine coordinates. The axes that it names are unknown until they are stated again.
+    """
     position: Templates = []
     """A position declared under the name ``target``."""
     speed: Templates = []
     """A speed ``rate`` declared under the name ``feed_name``."""
     context: Templates = []
-    """A ``tool`` and a ``frame`` declared under the name ``context_name``."""
+    """A ``tool`` and a ``frame`` declared under the name ``context_name``; refused with ``held_part``."""
     neutral: Templates = []
     """What changes neither place nor time. ``tool`` and ``frame`` must be the same at all moves.
 
     ``feed`` and ``zone`` hold for the moves behind it that state none; with ``feed_of`` for those of that name.
     ``target``: a position that is declared in a way that is not read. ``section``: see ``position_section``.
+    ``override`` must be 100, and ``speed_limit`` (in the unit "" of speeds) at least ``greatest_mm_s``, where moves
+    carry their time. ``ends``, of any statement: the program ends there; no motion and no dwell may follow.
     """
     begin: Templates = []
     end: Templates = []

@@ -119,12 +119,18 @@ class Scan:
     """Of the routine that moves, once it ended."""
     line: int = 0
     """Of the last statement that was read."""
+    ended_line: int = 0
+    """Line of the statement that ends the program; 0: none so far."""
     counted: int = 0
     """The line that ``body_lines`` counted last."""
     override_line: int = 0
     """Line of the override that holds, where it is not 100 %; 0: none."""
     slowed_line: int = 0
     """Line of an override at which a move ran."""
+    limit_line: int = 0
+    """Line of the limit of the speed that holds, where it is below that of timed moves; 0: none."""
+    limited_line: int = 0
+    """Line of such a limit at which a move ran."""
     warnings: dict[str, None] = field(default_factory=dict)
     modal: dict[str, str] = field(default_factory=dict)
     zones: dict[str | None, str] = field(default_factory=dict)
@@ -132,7 +138,7 @@ class Scan:
     feeds: dict[str | None, ModalFeed] = field(default_factory=dict)
     """The speed that was set last, by the name that it was set for."""
     axes: dict[str, float] = field(default_factory=dict)
-    """Coordinates that were stated last, where these hold."""
+    """Coordinates that were stated last, where these hold; NaN: a move to machine coordinates left it unknown."""
     speeds: dict[str, float] = field(default_factory=dict)
     """Declared speeds by name, mm/min."""
     last: Move | None = None
@@ -203,11 +209,11 @@ def place_of(found: Scan, statement: MatchedStatement) -> WrittenPose:
 
 
 def modal_place(found: Scan, statement: MatchedStatement) -> WrittenPose | None:
-    """The pose of what a statement writes out and of what holds from before; None where no x, y or z holds."""
+    """The pose of what a statement writes out and of what holds from before; None where a coordinate is not known."""
     turns = found.profile.orientation.fields
     values = {name: statement.number(name) for name in ("x", "y", "z", *turns)}
     found.axes |= {name: value for name, value in values.items() if value is not None}
-    if not {"x", "y", "z"} <= found.axes.keys():
+    if not {"x", "y", "z"} <= found.axes.keys() or any(map(math.isnan, found.axes.values())):
         return None
     return pose_of(
         found, statement.line, [*(found.axes[axis] for axis in "xyz"), *(found.axes.get(t, 0.0) for t in turns)]

@@ -151,6 +151,14 @@ def timed_moves(found: Scan) -> TimedMoves:
             "an override that is not 100 %: the moves do not take the time that they state",
             "have it posted with an override of 100 %, or with waits",
         )
+    if found.limited_line:
+        raise found.refuse_line(
+            found.limited_line,
+            f"a limit of the speed below {rules.greatest_mm_s:g} mm/s (move_time.greatest_mm_s): moves may take longer "
+            "than they state",
+            "have it posted with a higher limit or with waits, or set greatest_mm_s to the limit in a profile that "
+            "extends this one",
+        )
     stated, number, factor = numbers(columns.stated), np.array(columns.number), np.array(columns.factor)
     feed = np.where(stated > StatedBy.TIME, number * factor, np.nan)
     with np.errstate(invalid="ignore"):

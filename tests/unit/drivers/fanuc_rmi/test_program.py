@@ -96,6 +96,44 @@ def test_positions_in_two_frames_or_of_joints_are_refused() -> None:
         TpReader.of(joints)
 
 
+def configured(config: str) -> list[bytes]:
+    """A program with another CONFIG at its first position."""
+    lines = program("J P[1] 30% FINE ;")
+    at = next(number for number, line in enumerate(lines) if b"CONFIG" in line)
+    lines[at] = lines[at].replace(b"'F L D B, 1, 0, -1'", b"'" + config.encode() + b"'")
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("config", "arm"),
+    [
+        ("N U T, 0, 0, 0", (0, 0, 1, 1, 0, 0, 0)),
+        ("NUT,0,0,0", (0, 0, 1, 1, 0, 0, 0)),
+        ("F R U B , -1 , 0 , 1", (1, 0, 1, 0, -1, 0, 1)),
+        ("FLDT, 0, 2, 0", (1, 1, 0, 1, 0, 2, 0)),
+    ],
+)
+def test_a_configuration_is_read_with_and_without_blanks(config: str, arm: tuple[int, ...]) -> None:
+    (move,) = instructions_of(configured(config))
+    sent = move.fields["Configuration"]
+    assert tuple(sent[key] for key in ("Flip", "Left", "Up", "Front", "Turn4", "Turn5", "Turn6")) == arm
+
+
+@pytest.mark.parametrize(
+    "config",
+    ["", "N U T", "N U T, 0, 0", "N U T, 0, 0, 0, 0", "N U, 0, 0, 0", "N F U T, 0, 0, 0", "N U T T, 0, 0, 0",
+     "X U T, 0, 0, 0", "n u t, 0, 0, 0", "N U T, a, 0, 0", "N U T, 0.5, 0, 0", "* * *, 0, 0, 0"],
+)  # fmt: skip
+def test_a_configuration_that_is_not_known_is_refused_by_line(config: str) -> None:
+    """It is not sent as zeros: the robot would reach the target with another arm, and may flip on the way."""
+    lines = configured(config)
+    line = next(number for number, text in enumerate(lines, 1) if b"CONFIG" in text)
+    with pytest.raises(DeviceRefused) as refused:
+        list(instructions_of(lines))
+    assert f"line {line}: the CONFIG of P[1] is '{config}', not N or F" in str(refused.value)
+    assert "N U T, 0, 0, 0" in str(refused.value)
+
+
 def test_the_device_type_refuses_programs_of_other_languages() -> None:
     assert not _takes(program("L P[1] 20mm/sec FINE ;"))
     assert "no statement" in _takes([b"G1 X1 F60"])

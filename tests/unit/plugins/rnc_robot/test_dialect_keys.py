@@ -90,6 +90,58 @@ def test_vectors_between_codes() -> None:
         read(fanuc, "G1 X1. I0. J0. K1. F60.\n")
 
 
+HEADS = {
+    "siemens": ("TRAORI\nG0 X0 Y0 Z0 A3=0 B3=0 C3=1\n", "A3={} B3={} C3={}", "G4 F1"),
+    "fanuc": ("G43.5 H1\nG0 X0. Y0. Z0. I0. J0. K1.\n", "I{} J{} K{}", "G4 X1."),
+}
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_a_component_that_a_block_leaves_out_of_a_tool_vector_is_zero(name: str) -> None:
+    """Siemens' and Fanuc's manuals say so; a block without any component keeps the vector."""
+    head, vector, dwell = HEADS[name]
+    whole = vector.format("0.1", "0.2", "0.97")
+    first, _, third = whole.split()
+    points = [f"G1 X10. {whole} F600.", f"X20. {first} {third}", "X30.", f"X40. {third}"]
+    body = "".join(f"{point}\n{dwell}\n" for point in points)
+    wanted = np.array([[0.1, 0.2, 0.97], [0.1, 0, 0.97], [0.1, 0, 0.97], [0, 0, 1]])
+    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+    language = cast(GcodeDialect, dialect(name))
+    program = read(language, head + body, "G90 G94\n")
+    np.testing.assert_allclose(program.axis, wanted, atol=1e-15)
+    for encoding in (None, "feed"):
+        again = formats.read(language, formats.rewrite(language, program, 2 * program.time_s, encoding), "t.nc")
+        np.testing.assert_array_equal(again.axis, program.axis)
+
+
+def test_a_rotary_axis_leaves_the_tool_vector_unknown() -> None:
+    siemens = cast(GcodeDialect, dialect("siemens"))
+    vectors = "TRAORI\nG1 X10 A3=0 B3=0 C3=1 F600\nG4 F1\n"
+    head = "G71 G90 G94\nG0 X0 Y0 Z0 A0 C0\n"
+    assert read(siemens, vectors, head).n == 1
+    assert read(siemens, f"{vectors}G0 Z9 C90\nG1 X20 A3=0 B3=0.6 C3=0.8\nG4 F1\n", head).n == 2
+    for block in ("G1 X20 A30 C90", "G0 C90\nG1 X20", "G53 G0 C0\nG1 X20"):
+        with pytest.raises(ProgramError, match=r"a point before (A3|C) is stated"):
+            read(siemens, f"{vectors}{block}\nG4 F1\n", head)
+
+
+OFFSETS = [
+    ("siemens", "D1", "D2", "G71 G90 G94 D1\nG0 X0 Y0 Z0\n"),
+    ("fanuc", "G43 H1", "H2", "G21 G90 G94 G43 H1\nG0 X0. Y0. Z0.\n"),
+    ("rs274", "G43 H1", "G43 H0", "G21 G90 G94 G43 H1\nG0 X0. Y0. Z0.\n"),
+]
+
+
+@pytest.mark.parametrize(("name", "one", "other", "head"), OFFSETS)
+def test_a_tool_offset_that_changes_between_feed_moves(name: str, one: str, other: str, head: str) -> None:
+    """It moves the path. One that is stated again, or changes behind the last feed move, does not."""
+    language = cast(GcodeDialect, dialect(name))
+    assert read(language, f"G1 X1. F60.\n{one}\nX2.\n{other}\nG0 Z9.\n", head).n == 2
+    assert read(language, f"G1 X1. F60.\n{other}\nG0 Z9.\n{one}\nG1 X2.\n", head).n == 2
+    with pytest.raises(ProgramError, match="line 5: the tool offset changes in mid-program"):
+        read(language, f"G1 X1. F60.\n{other}\nX2.\n", head)
+
+
 PAIRS = ("CA", "CB", "AB", "BA", "AC", "BC")
 ANGLES = {"A": 23.0, "B": -41.5, "C": 107.25}
 

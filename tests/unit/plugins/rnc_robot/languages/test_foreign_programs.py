@@ -235,6 +235,11 @@ READ = [
     ("mill.h", MILL.format("14 L  X+70.008 F480\n15 L  Y-12\n"), [2.5 * 60 / 1000, 1, 1]),
     ("dwells.h", DWELLS, [1.5, 2]),
     (
+        "called feed.h",
+        MILL.format("14 L  X+70.008\n").replace("F1000", "").replace("S3000", "S3000 F480"),
+        [2.5 * 60 / 480, 1],
+    ),
+    (
         "tcpm.h",
         (
             "0 BEGIN PGM tcp MM\n1 TOOL CALL 1 Z S100\n2 FUNCTION TCPM F TCP AXIS POS PATHCTRL AXIS\n"
@@ -289,6 +294,18 @@ REFUSED = [
         "does not know",
     ),
     ("velset.mod", rapid("PROC main()", "VelSet 50,2000;", go(20), go(30), "ENDPROC"), 8, "override that is not 100 %"),
+    (
+        "limit.mod",
+        rapid("PROC main()", "VelSet 100,5;", go(20), go(30), "ENDPROC"),
+        8,
+        r"a limit of the speed below 250 mm/s \(move_time.greatest_mm_s\)",
+    ),
+    (
+        "limit by name.mod",
+        rapid("PROC main()", "VelSet 100,vMax;", go(20), go(30), "ENDPROC"),
+        8,
+        "a limit of the speed",
+    ),
     ("array.mod", rapid("PROC main()", "MoveL T{1},v50,z1,tool0;", "ENDPROC"), 8, "not read"),
     ("partial.src", INI + "$VEL.CP = 0.100\nLIN {X 1000,Y 500,Z 82}\nEND\n", 10, "not read"),
     ("loop.src", INI + "FOR I=1 TO 6\n   $VEL_AXIS[I]= 20\nENDFOR\nEND\n", 9, "loops"),

@@ -166,11 +166,63 @@ UR = [
     (b"  SLEEP(1)", "calls"),
     (b"  def other():\n  end", "a routine inside a routine"),
 ]
+OUT = b"6 L Z+50 FMAX\n"
+MACHINE = "a feed move in machine coordinates"
+H = [
+    (b"6 L X+10 RL F600\n", "radius compensation"),
+    (b"6 L X+10 RR\n", "radius compensation"),
+    (b"6 L X+10RL F600\n", "radius compensation"),
+    (b"6 L X+10 RL FMAX\n", "radius compensation"),
+    (b"6 M136\n", "feed per revolution"),
+    (b"6 M3 M136\n", "feed per revolution"),
+    (b"6 L X+10 F0.1 M136\n", "feed per revolution"),
+    (b"6 L X+10 FMAX M3 M0136\n", "feed per revolution"),
+    (b"6 L X+10 FU0.1\n", "not read"),
+    (b"6 L Z-1 F600 M91\n", MACHINE),
+    (b"6 L Z-1 M92\n", MACHINE),
+    (b"6 L Z-1 R0 F600 M8 M91\n", MACHINE),
+    (b"6 L X+10 F600 M130\n", MACHINE),
+    (b"6 M104\n", MACHINE),
+    (b"6 L Z-1 R0 FMAX M91\n7 L X+10 F600\n", "not complete"),
+    (b"6 L Z-1 FMAX M5 M92\n7 L X+10 Y+1\n", "not complete"),
+    (b"6 L A+0 C+0 FMAX M91\n7 L X+10 Y+1 Z+1 A+3\n", "not complete"),
+    (b"6 L Z-1 R0 FMAX M91 M136\n", "feed per revolution"),
+    (b"6 TOOL CALL 5 Z S1000 DL+0.5 DR+1\n", "length or radius offset"),
+    (b"6 TOOL CALL 5 Z S1000 F500 DR2:+1\n", "length or radius offset"),
+    (b"6 TOOL CALL Z DL-0.1\n", "length or radius offset"),
+    (b"6 TOOL CALL 5 Z S1000\n7 L X+10\n8 FUNCTION DWELL TIME1\n", "another tool or frame"),
+    (b"6 TOOL CALL 1 Z FU0.1\n", "another unit than mm/min"),
+    (b"6 L X+10 M99\n", "cycles"),
+    (b"6 L X+10 Y+1 R0 FMAX M99\n", "cycles"),
+    (b"6 M89\n", "cycles"),
+    (b"6 FUNCTION TCPM F CONT AXIS POS PATHCTRL AXIS\n", "F CONT"),
+    (b"6 M6\n", "waits for a person"),
+    (b"6 L X+10 M0\n", "waits for a person"),
+    (b"6 M101\n", "changes tools, feeds or the path"),
+    (b"6 L X+10 M124\n", "changes tools, feeds or the path"),
+    (b"6 M30\n7 L X+10\n", "after the end of the program in line 6"),
+    (b"6 M5 M2\n" + OUT, "after the end of the program in line 6"),
+    (b"6 L Z+50 R0 FMAX M30\n7 FUNCTION DWELL TIME1\n", "after the end of the program in line 6"),
+    (b"6 L X+10 M9 M02\n" + OUT, "after the end of the program in line 6"),
+]
+MELFA = [
+    (b"End\nMvs P1\n", "after the end of the program in line 6"),
+    (b"Hlt\nMov P1\n", "after the end of the program in line 6"),
+    (b"M_Tool=2\nMvs P1\nDly 1\n", "another tool or frame"),
+]
+KRL += [
+    (b"$IPO_MODE=#TCP", "the robot holds the part"),
+    (b"$ORI_TYPE=#CONSTANT", "orientation type"),
+    (b"DECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}", "a part that the robot holds"),
+]
+TP += [(b"   3:L P[2] 10mm/sec FINE RTCP ;", "the robot holds the part")]
 TRAPS = [
     (name, body, reason)
-    for name, traps in (("rapid", RAPID), ("krl", KRL), ("fanuc-tp", TP), ("urscript", UR))
+    for name, traps in (
+        ("rapid", RAPID), ("krl", KRL), ("fanuc-tp", TP), ("urscript", UR), ("heidenhain", H), ("melfa-basic", MELFA),
+    )
     for body, reason in traps
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "body", "reason"), TRAPS)
@@ -188,6 +240,20 @@ def test_a_trap_is_refused_by_line(name: str, body: bytes, reason: str) -> None:
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_the_frame_of_the_traps_is_a_good_program(name: str) -> None:
     assert read(profile(name), around(name, b""), "trap.txt").time_s.tolist() == [0.5]
+
+
+HARMLESS = [
+    ("heidenhain", b"6 L Z-1 R0 FMAX M91\n7 L X+0 Y+0 R0 FMAX\n8 L Z+50 FMAX M9\n9 M5\n10 M30\n"),
+    ("heidenhain", b"6 TOOL CALL Z S500\n7 L Z+50 R0 FMAX M5 M30\n"),
+    ("heidenhain", b"6 L Z+0 FMAX M92 M5\n7 L M140 MB MAX\n8 M2\n"),
+    ("krl", b"$IPO_MODE = #BASE\n$ORI_TYPE=#VAR\n"),
+    ("melfa-basic", b"Hlt\nEnd\n"),
+]
+
+
+@pytest.mark.parametrize(("name", "body"), HARMLESS)
+def test_what_changes_no_point_is_read(name: str, body: bytes) -> None:
+    assert read(profile(name), around(name, body), "part.txt").time_s.tolist() == [0.5]
 
 
 SECOND = {
