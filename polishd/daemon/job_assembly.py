@@ -13,7 +13,7 @@ from typing import Any
 
 from polishd import __version__
 from polishd.config.cell import CellConfig
-from polishd.daemon.assembly import bind_part_to_devices, contact_limits, require_time_limits
+from polishd.daemon.assembly import bind_part_to_devices, contact_limits, require_accepted_by_robot, require_time_limits
 from polishd.daemon.cell.cell import Cell
 from polishd.daemon.contact.stall_removal import require_stall_depth
 from polishd.daemon.job.job import Job
@@ -183,6 +183,7 @@ class JobMaker:
         for tool, recipe in zip(config.turns, recipes, strict=True):
             programs.append(await self.compute(read_programs, tool, recipe))
             for program in programs[-1]:
+                await asyncio.to_thread(require_accepted_by_robot, tool, hooks, program)
                 await self.compute(require_fit, tool, recipe, program)
             require_stall_depth(tool, self.cell, recipe)
         require_time_limits(config, self.cell)

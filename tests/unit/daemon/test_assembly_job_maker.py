@@ -15,7 +15,12 @@ from polishd.daemon.journal.journal import Journal
 from polishd.daemon.queue.queue import NewJob, Queue
 from polishd.model.errors import ConfigError
 
-CHECKS = ("require_commissioned", "require_acceptable", "require_stall_depth", "require_time_limits")
+CHECKS = (
+    "require_commissioned",
+    "require_acceptable",
+    "require_stall_depth",
+    "require_time_limits",
+)
 
 
 class Killed(BaseException):
@@ -31,6 +36,22 @@ async def test_one_that_is_given_back_while_its_program_is_read_is_no_job_of_thi
         with pytest.raises(ConfigError, match="'a' was removed from the queue"):
             await made(journal, queue, monkeypatch, lambda: queue.remove("a", "given back to the shop"))
         assert journal.store.read("SELECT count(*) FROM job") == [(0,)]
+
+
+async def test_a_program_that_the_robot_does_not_take_begins_no_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A job that a shop gave, or another robot in the cell's file since the job was added."""
+
+    def refused(*_: Any) -> None:
+        raise ConfigError("the robot does not take it")
+
+    with Journal.of_cell(tmp_path) as journal:
+        queue = queue_of(journal)
+        with pytest.raises(ConfigError, match="does not take it"):
+            await made(journal, queue, monkeypatch, accepted=refused)
+        assert journal.store.read("SELECT count(*) FROM job") == [(0,)]
+        assert [one.name for one in queue.waiting()] == ["a"]
 
 
 async def test_a_kill_leaves_no_job_in_the_journal_that_the_queue_has_not_begun(
@@ -56,7 +77,11 @@ def queue_of(journal: Journal) -> Queue:
 
 
 async def made(
-    journal: Journal, queue: Queue, monkeypatch: pytest.MonkeyPatch, meanwhile: Callable[[], None] = lambda: None
+    journal: Journal,
+    queue: Queue,
+    monkeypatch: pytest.MonkeyPatch,
+    meanwhile: Callable[[], None] = lambda: None,
+    accepted: Callable[..., None] = lambda *_: None,
 ) -> None:
     (entry,) = queue.to_do()
     config = SimpleNamespace(turns=(SimpleNamespace(),))
@@ -70,6 +95,7 @@ async def made(
 
     for name in CHECKS:
         monkeypatch.setattr(job_assembly, name, lambda *_: None)
+    monkeypatch.setattr(job_assembly, "require_accepted_by_robot", accepted)
     monkeypatch.setattr(job_assembly, "require_unchanged", lambda *_: config)
     monkeypatch.setattr(job_assembly, "hooks_of_job", lambda *_: SimpleNamespace(program_formats=dict))
     monkeypatch.setattr(job_assembly, "read_recipes", lambda *_: [SimpleNamespace(instrument=None)])
