@@ -93,8 +93,8 @@ async def test_a_journal_that_is_lost_at_the_end_is_its_own_cells_affair(
 ) -> None:
     begin = app._journal
 
-    def lost_by_the_first(config: Any, program: Program) -> Journal:
-        journal = begin(config, program)
+    def lost_by_the_first(config: Any, hooks: Any, program: Program) -> Journal:
+        journal = begin(config, hooks, program)
         if config is sites.all[0].config:
             close = journal.close
 
