@@ -8,6 +8,7 @@
 - ``scope``: folders whose Python files the figure depends on; ``of``: their hash when it was measured, empty where
   unknown.
 - ``machine``, ``date``.
+- ``same``: empty, or what showed that its figures are the same on later sources (``tests.campaigns.same_jobs``).
 
 The rows of a campaign (``docs/data``) have hashes of their own; ``rows`` names the campaign that counts them.
 """
@@ -62,6 +63,7 @@ class Claim:
     of: str = ""
     machine: str = ""
     date: str = ""
+    same: str = ""
 
     @property
     def printed(self) -> str:
@@ -169,6 +171,7 @@ def record(claims: Sequence[Claim], name: str, figures: dict[str, str], root: Pa
         of=result_files.sources(old.scope, root),
         machine=machine(),
         date=result_files.today(),
+        same="",
     )
     if old.section:
         if (content := section_hash(page, old.section)) is None:
@@ -192,7 +195,7 @@ def _text(path: str) -> str:
 def _state(claim: Claim) -> str:
     """``fresh`` or ``stale``; of rows with hashes of their own how many are fresh."""
     if not claim.rows:
-        return "fresh" if claim.is_fresh() else "stale"
+        return ("fresh, compared" if claim.same else "fresh") if claim.is_fresh() else "stale"
     fresh = [one for name in claim.rows for one in CAMPAIGNS[name]()]
     return f"{'fresh' if all(fresh) else 'stale'} ({sum(fresh)} of {len(fresh)} rows)"
 

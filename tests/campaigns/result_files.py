@@ -30,8 +30,11 @@ ACTING = (
     "polishd/daemon/job/job",
     "polishd/daemon/job_runner",
     "polishd/daemon/state_machine",
+    "polishd/model/devices",
+    "polishd/model/events",
+    "polishd/model/states",
 )
-"""What a daemon with a tool on the part does. Queue, socket, notifications and config checks have no part in it."""
+"""What a daemon with a tool on the part does. Queue, socket, config checks and maps have no part in it."""
 
 
 def read(path: Path) -> list[Row]:

@@ -70,7 +70,6 @@ QUICK: Sections = {"actuator": {"land_s": 0.5}, "spindle": {"spin_s": 0.5}, "int
 """Short times before contact, where no fault acts yet. The time to lift the tool stays: it is measured."""
 COMMON = (
     *ACTING,
-    "polishd/model",
     "polishd/drivers/transport",
     "polishd/sim_backends/common",
     "tests/campaigns/faults",

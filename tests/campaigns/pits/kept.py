@@ -24,7 +24,6 @@ COLUMNS = (
 HEADER = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
 COMMON = (
     *ACTING,
-    "polishd/model",
     "polishd/drivers/transport",
     "polishd/sim_backends/common",
     "polishd/sim_backends/plant",
