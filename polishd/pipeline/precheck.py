@@ -18,6 +18,7 @@ from polishd.pipeline import steps
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
 from polishd.pipeline.steps import envelope_of
+from polishd.process.dwell.problem import negligible_share, without_traces
 from polishd.process.dwell.quadratic import choose_piston_nm
 from polishd.process.metrology.tolerance import lines_below_cutoff
 from polishd.process.removal import contact
@@ -44,6 +45,30 @@ def precheck_plan(recipe: Recipe, program: Program, check_plan: Callable[[Plan, 
         )
     except ComputeError as error:
         found.append(f"{program.name}: {error}")
+    return found
+
+
+def require_limits(
+    recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envelope], Sequence[str]], answer: RemovalAnswer
+) -> None:
+    """PlanRefused where `plan` would refuse the program with any map: travel, or removal in its shortest times."""
+    plan = shortest_time_s(recipe, program)
+    removal_nm = without_traces(answer.removal_nm(plan.expected_time_s), negligible_share(answer.effect))
+    plan = replace(plan, predicted_removal_nm=removal_nm, grid=answer.effect.grid)
+    if found := check_plan(plan, recipe.envelope):
+        first = f"{program.name}: plan would refuse it with any map. Correct the named key or the program:"
+        raise PlanRefused("\n".join([first, *(f"  {one}" for one in found)]))
+
+
+def program_warnings(recipe: Recipe, program: Program, removal_nm: float) -> list[str]:
+    """Warn of what `run` refuses, and of a program that removes too much as it is: its times may be a template's."""
+    found = [f"run will refuse: {one}" for one in steps.violations(recipe, shortest_time_s(recipe, program))]
+    most_nm = recipe.envelope.max_removal_nm
+    if removal_nm > most_nm:
+        found.append(
+            f"{program.name} as it is removes up to {removal_nm:.6g} nm, more than limits.max_removal_nm = "
+            f"{most_nm:g} nm. Check process.preston (or process.tif) and its unit; a plan replaces the program's times."
+        )
     return found
 
 
