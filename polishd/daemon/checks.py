@@ -103,9 +103,10 @@ def _along(
     """Return facts of a program of one tool, the pit of a robot that stands on it, and warnings."""
     hold = require_stall_depth(config, cell, recipe)
     require_accepted_by_robot(config, hooks, program)
-    precheck.check_pass(config, recipe, program)
-    on_step(f"reach and removal at {program.n} points of {program.name}")
-    answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
+    with precheck.blame_path((config, recipe, program)):
+        precheck.check_pass(config, recipe, program)
+        on_step(f"reach and removal at {program.n} points of {program.name}")
+        answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
     covers = require_fit(config, recipe, program)
     precheck.require_limits(recipe, program, hooks.check_plan, answer)
     compliance, gamma = answer.compliance_um_per_n, answer.gamma

@@ -84,7 +84,9 @@ def plan_part(
     recipe = recipes[0]
     turns = [ToolProblem(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
     measured = steps.condition(recipe, surface)
-    passes = _passes(turns, measured, hooks)
+    legs = [(own, one.recipe, one.program) for own, one in zip(config.turns, turns, strict=True)]
+    with precheck.blame_path(*legs):
+        passes = _passes(turns, measured, hooks)
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []

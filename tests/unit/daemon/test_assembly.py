@@ -21,7 +21,7 @@ from polishd.daemon.runtime.process import host
 from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.interfaces import Device, ForceActuator, Robot, Spindle
-from polishd.model.errors import ConfigError, LinkError, PlanRefused
+from polishd.model.errors import ComputeError, ConfigError, LinkError, PlanRefused
 from polishd.model.estimates import Estimates, MachineEstimates
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.build_recipe import make_recipe, require_commissioned
@@ -280,6 +280,52 @@ def test_check_warns_of_a_program_that_removes_too_much_as_it_is(configured: Any
     (said,) = (one for one in checks.check_cell(less, hooks)["warnings"] if "as it is" in one)
     assert said.startswith("program.rnc as it is removes up to ")
     assert "Check process.preston" in said
+
+
+CANNOT_FOLLOW: list[tuple[dict[str, Any], str, str]] = [
+    ({"process": {"grid_mm": 2.0, "dip_deg": 0.0}}, "process.dip_deg", "the dip is 15 deg, the process says 0"),
+    ({"part": {"aperture_mm": 30.0, "origin_mm": [3000.0, 0.0, 2315.0]}}, "part.origin_mm", "the tip's radius is "),
+    ({"process": {"grid_mm": 2.0, "tool_modulus_mpa": 3000.0}}, "process.force_n", "the way that the robot gives is "),
+    ({"part": {"aperture_mm": 30.0, "curvature_radius_mm": 20.5}}, "part.curvature_radius_mm", "the nominal optic"),
+]
+
+
+@pytest.mark.parametrize(("change", "key", "says"), CANNOT_FOLLOW)
+def test_a_program_that_the_cell_cannot_follow_is_an_error_at_its_key(
+    configured: Any, hooks: Hooks, change: dict[str, Any], key: str, says: str
+) -> None:
+    base: dict[str, Any] = {"part": {"aperture_mm": 30.0}, "process": {"grid_mm": 2.0}}
+    config = configured(**base)
+    config.program_path.write_bytes(demo_program(config))
+    wrong = configured(**base | change)
+    with pytest.raises(ConfigError) as caught:
+        checks.check_cell(wrong, hooks)
+    said = str(caught.value)
+    assert re.match(rf".*cell\.toml:\d+: {re.escape(key)}: program\.rnc:\d+: ", said), said
+    assert says in said
+    assert ": point " not in said
+
+
+def test_a_bonnet_that_does_not_fit_into_the_part_is_an_error_at_its_key(configured: Any, hooks: Hooks) -> None:
+    part = {"aperture_mm": 30.0, "curvature_radius_mm": 40.0}
+    config = configured(part=part, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    wrong = configured(part=part, process={"grid_mm": 2.0, "tool_radius_mm": 41.0})
+    with pytest.raises(ConfigError, match=r"process\.tool_radius_mm: program\.rnc:\d+: .* the bonnet of 41 mm"):
+        checks.check_cell(wrong, hooks)
+
+
+def test_a_speed_that_machine_and_language_do_not_share_is_an_error_at_its_key(
+    configured: Any, hooks: Hooks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def envelope_of(*_: object) -> None:
+        raise ComputeError("no speed in common")
+
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    monkeypatch.setattr("polishd.pipeline.precheck.envelope_of", envelope_of)
+    with pytest.raises(ConfigError, match=r"machine\.max_feed_mm_s: program\.rnc: no speed in common\. Correct it"):
+        checks.check_cell(config, hooks)
 
 
 def test_check_warns_of_a_program_that_run_refuses(configured: Any, hooks: Hooks) -> None:
