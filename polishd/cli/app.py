@@ -534,6 +534,7 @@ def _with_cell(text: str) -> str:
     given = command.make_context("", words, resilient_parsing=True).params
     named = (given[one.name] for one in command.params if "CELL.toml" in (one.metavar or ""))
     cells = [cell for value in named for cell in (value if isinstance(value, list | tuple) else [value]) if cell]
+    cells = [cell for cell in cells if not Path(cell).is_dir()]  # RUN|CELL.toml may be a folder
     return text.replace("CELL.toml", shlex.quote(str(cells[0]))) if cells else text
 
 

@@ -63,13 +63,15 @@ def check_cell(config: CellConfig, hooks: Hooks, on_step: OnStep = lambda _: Non
     notifiers = build_notifiers(config, hooks)
     along: dict[str, Any] = {}
     pits: list[tuple[StallRemoval, str]] = []
+    warnings: list[str] = []
     for own, recipe in zip(config.turns, recipes, strict=True):
         of_tool = "" if recipe.turn is None else f"{recipe.turn.tool}: "
         on_step(f"reading {', '.join(path.name for path in own.program_paths)}")
         programs = precheck.read_programs(own, recipe)
         for number, program in enumerate(programs, 1):
             of_turn = f"program {number}: " if len(programs) > 1 else ""
-            found, pit = _along(own, cell, hooks, recipe, program, on_step=on_step)
+            found, pit, warned = _along(own, cell, hooks, recipe, program, on_step=on_step)
+            warnings += [of_tool + one for one in warned]
             along |= {of_tool + of_turn + key: value for key, value in found.items()}
             pits.append((pit, pit.warning(tolerance_nm(recipe))))
     pit, warning = max(pits, key=lambda one: one[0].removal_nm)
@@ -91,25 +93,28 @@ def check_cell(config: CellConfig, hooks: Hooks, on_step: OnStep = lambda _: Non
         "host": host(),
         "time limits": [*(limit.row() for limit in chain), pit.row()],
         "pit": pit.facts(),
-        "warnings": [warning] if warning else [],
+        "warnings": [*([warning] if warning else []), *warnings],
     }
 
 
 def _along(
     config: CellConfig, cell: Cell, hooks: Hooks, recipe: Recipe, program: Program, *, on_step: OnStep
-) -> tuple[dict[str, Any], StallRemoval]:
-    """Return facts of a program of one tool, and the pit of a robot that stands on it."""
-    pit = require_stall_depth(config, cell, recipe)
+) -> tuple[dict[str, Any], StallRemoval, list[str]]:
+    """Return facts of a program of one tool, the pit of a robot that stands on it, and warnings."""
+    hold = require_stall_depth(config, cell, recipe)
     require_accepted_by_robot(config, hooks, program)
-    precheck.check_pass(config, recipe, program)
-    on_step(f"reach and removal at {program.n} points of {program.name}")
-    answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
+    with precheck.blame_path((config, recipe, program)):
+        precheck.check_pass(config, recipe, program)
+        on_step(f"reach and removal at {program.n} points of {program.name}")
+        answer = steps.effect_of(recipe, program, steps.process_grid(recipe))
+    covers = require_fit(config, recipe, program)
+    precheck.require_limits(recipe, program, hooks.check_plan, answer)
     compliance, gamma = answer.compliance_um_per_n, answer.gamma
     removal_nm = float(np.max(answer.effect.removal_nm(program.time_s)))
     held = require_held_motion(config, cell, recipe, program)
     facts = {
         "program": f"{program.name}: {program.n} timed points, {program.lines} lines, time in the {program.encoding}",
-        "covers": require_fit(config, recipe, program),
+        "covers": covers,
         "seat": _seat(recipe, hooks),
         "pass": precheck.pass_words(recipe, program, answer),
         "disk": disk_space.pass_words(
@@ -126,11 +131,12 @@ def _along(
             if "force_sensor" in cell.used
             else {"if the actuator misreads its force": _lie(config, recipe, removal_nm)}
         ),
-        **({"feed hold at the controller": pit} if pit else {}),
+        **({"feed hold at the controller": hold} if hold else {}),
         **({"end of a block known to": blurred} if (blurred := timing_uncertainty_s(cell, recipe)) else {}),
         **({"motion held by the robot": held} if held else {}),
     }
-    return facts, stall_removal(cell.limits, recipe, program, contact_limits(config).no_progress_s)
+    pit = stall_removal(cell.limits, recipe, program, contact_limits(config).no_progress_s)
+    return facts, pit, precheck.program_warnings(recipe, program, removal_nm)
 
 
 def check_jobs(cell: CellConfig, hooks: Hooks, paths: Sequence[Path], judged: set[str] | None = None) -> list[NewJob]:

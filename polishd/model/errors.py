@@ -123,6 +123,8 @@ class ComputeError(PolishdError):
     """A computation failed, ran out of time, or came without a valid certificate."""
 
     exit_code = 10
+    point: int | None = None
+    """Index of the timed point at which it failed first."""
 
 
 class WorkerError(ComputeError):

@@ -9,7 +9,7 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from polishd.model.surface import FloatArray
+from polishd.model.surface import FloatArray, Grid
 
 IntArray = NDArray[np.int64]
 Encoding = Literal["feed", "dwell", "inverse", "time"]
@@ -201,6 +201,8 @@ class Plan:
     predicted_removal_nm: FloatArray
     """(ny, nx) removal on the process grid expected of the whole plan."""
     segments: Sequence[Segment] = field(repr=False, default=())
+    grid: Grid | None = None
+    """Grid of `predicted_removal_nm`; None: not known."""
 
     @property
     def total_s(self) -> float:

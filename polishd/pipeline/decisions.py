@@ -120,3 +120,22 @@ def small_gain_finding(recipe: Recipe, forecast: Forecast | None) -> Finding | N
     if forecast is None or not corrects(recipe):
         return None
     return gain_too_small(forecast, recipe.finding)
+
+
+EVEN = 0.5
+"""Probability of a better surface, below which a pass probably makes it worse."""
+
+
+def purpose_notes(recipe: Recipe, measured: MeasureResult, forecast: Forecast | None) -> list[str]:
+    """Describe why a plan is not worth its pass: the part is in tolerance, or the pass will not improve it."""
+    if not corrects(recipe):
+        return []
+    notes = []
+    if part_holds(measured.judged):
+        notes.append(f"already in tolerance ({'; '.join(map(str, measured.judged))}): run makes no pass")
+    if forecast is not None and forecast.better < EVEN:
+        now_nm = measured.stats.rms_nm
+        notes.append(f"this pass makes it worse: {now_nm:.2f} nm RMS now, {forecast.words} expected after it")
+    elif found := small_gain_finding(recipe, forecast):
+        notes.append(found.what)
+    return notes

@@ -168,8 +168,12 @@ FEED_TIMED = ("feed", "inverse", "time")
 """Encodings whose times are moves: a change of feed takes the machine time."""
 ENVELOPE_ROUNDS = 2
 """Number of re-solves with the times that acceleration delivers as the lower bound."""
+NEARLY = 0.99
+"""Share of a longest time from which it counts as taken in full."""
 CROSS_CHECK_GAP = 1e-3
 """Largest relative advantage of an independent solver."""
+CEILING = 0.1
+"""Share of the points that take their longest time, from which that is worth a note."""
 FLOOR = 0.5
 """Share of the mean removal from which that of the machine's shortest times is worth a note."""
 LAST_SHARE = 0.25
@@ -497,9 +501,35 @@ class _Step:
         )
         return add_note(dwell, note)
 
+    def with_ceiling(self, dwell: DwellSolution) -> DwellSolution:
+        """Return the solution with a note for each tool of which many points take their longest time."""
+        # a longest time near the shortest one is of acceleration, not of the smallest feed
+        held = (dwell.time_s >= dwell.upper_s * NEARLY) & (dwell.lower_s < dwell.upper_s * NEARLY)
+        for leg, own in self.each(held.astype(np.float64)):
+            share, least = float(own.mean()), leg.envelope.min_feed_mm_s
+            if share <= CEILING:
+                continue
+            key = "machine.min_feed_mm_s" if least <= self.recipe.envelope.min_feed_mm_s else leg.program.dialect
+            limit = (
+                "limits.max_pass_s" if leg.program.encoding == "dwell" else f"the smallest feed, {least:g} mm/s ({key})"
+            )
+            dwell = add_note(
+                dwell,
+                f"{share:.0%} of the points of {leg.program.name} take their longest time, by {limit}: the result is "
+                "limited by it. More passes, a smaller least feed or a larger removal rate remove more",
+            )
+        return dwell
+
+    def with_budget(self, dwell: DwellSolution) -> DwellSolution:
+        """Return the solution with a note where its total time is the budget."""
+        budget_s, total_s = self.dwell.budget_s, dwell.certificate.dwell_total_s
+        if budget_s is None or total_s < NEARLY * budget_s:
+            return dwell
+        return add_note(dwell, f"the dwell takes all of dwell.budget_s = {budget_s:g} s: the result is limited by it")
+
     def noted(self, dwell: DwellSolution) -> DwellSolution:
-        """Return the solution with notes on its shortest times, and on the periods that the spot cannot correct."""
-        dwell = self.with_floor(dwell)
+        """Return the solution with notes on its times, and on the periods that the spot cannot correct."""
+        dwell = self.with_budget(self.with_ceiling(self.with_floor(dwell)))
         measured, spot = self.measured, self.finest.transfer
         if spot is None:
             return dwell

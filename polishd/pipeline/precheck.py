@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Literal
 
@@ -12,17 +13,20 @@ import numpy as np
 from polishd.config.cell import CellConfig
 from polishd.hookspecs import RemovalAnswer
 from polishd.model.errors import ComputeError, PlanRefused, ProgramError
+from polishd.model.process import MeasuredCompliance, Moment
 from polishd.model.program import Envelope, Plan, Program
 from polishd.model.surface import FloatArray
 from polishd.pipeline import steps
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
-from polishd.pipeline.steps import envelope_of
+from polishd.pipeline.steps import envelope_of, executed_surface
+from polishd.process.dwell.problem import negligible_share, without_traces
 from polishd.process.dwell.quadratic import choose_piston_nm
+from polishd.process.frames import surface_normals
 from polishd.process.metrology.tolerance import lines_below_cutoff
 from polishd.process.removal import contact
 from polishd.process.robot import motion
-from polishd.process.robot.compliance import path_compliance
+from polishd.process.robot.compliance import depth_ratio, path_compliance, require_dip
 from polishd.process.toolpath.apertures import PathCoverage, coverage
 
 IMPLAUSIBLE = 10.0
@@ -44,6 +48,90 @@ def precheck_plan(recipe: Recipe, program: Program, check_plan: Callable[[Plan, 
         )
     except ComputeError as error:
         found.append(f"{program.name}: {error}")
+    return found
+
+
+@contextmanager
+def blame_path(*legs: tuple[CellConfig, Recipe, Program]) -> Iterator[None]:
+    """Turn a ComputeError of a program that robot, tool or part cannot follow into a ConfigError at a key."""
+    try:
+        yield
+    except ComputeError as error:
+        for config, recipe, program in legs:
+            for key, advice, require in _path_needs(recipe, program):
+                try:
+                    require()
+                except ComputeError as found:
+                    raise config.error(key, f"{_at_line(program, found)}. {advice}") from error
+        raise
+
+
+def _at_line(program: Program, error: ComputeError) -> str:
+    """The error at a timed point, with the line of the program in place of the point."""
+    if error.point is None:
+        return f"{program.name}: {error}"
+    return f"{program.name}:{program.line[error.point]}: {str(error).removeprefix(f'point {error.point}: ')}"
+
+
+def _path_needs(recipe: Recipe, program: Program) -> Iterator[tuple[str, str, Callable[[], object]]]:
+    """Yield the needs of a path in the order in which each presupposes the ones before: key, advice and check."""
+    process, robot, placement, optic, options = (
+        recipe.process, recipe.robot, recipe.placement, recipe.optic, recipe.options
+    )  # fmt: skip
+
+    def compliance(moment: Moment) -> FloatArray:
+        own = replace(options, moment=moment)
+        part = executed_surface(recipe, program)
+        return path_compliance(part, process, robot, placement, options=own, optic=optic).compliance_mm_per_n
+
+    def middle_mm() -> FloatArray:
+        part = steps.in_part_frame(recipe, program)
+        return (part.start_mm + part.end_mm) / 2
+
+    def gamma() -> FloatArray:
+        depth_mm, curved = contact.hertz_depth_mm(process), curvature()
+        deep = depth_mm if curved is None else depth_mm * curved.deeper
+        return depth_ratio(compliance(options.moment), process, deep)
+
+    def curvature() -> contact.CurvedContact | None:
+        return contact.contact_on_curved_part(process, optic, middle_mm()[:, :2], contact=recipe.tif is None)
+
+    yield "machine.max_feed_mm_s", "Correct it, or the program", lambda: envelope_of(recipe, program)
+    advice = "Correct the part's form, or name the program of this part"
+    yield "part.curvature_radius_mm", advice, lambda: surface_normals(placement, middle_mm(), optic)
+    advice = "Use a smaller bonnet, or correct the part's radius of curvature"
+    yield "process.tool_radius_mm", advice, curvature
+    advice = "Set the dip of the program, or make the program with this dip"
+    yield "process.dip_deg", advice, lambda: require_dip(executed_surface(recipe, program), process, placement, optic)
+    key, advice = "part.origin_mm", "Move the part to where the robot reaches all of the path, or correct [kinematics]"
+    if isinstance(robot, MeasuredCompliance):
+        key, advice = "kinematics.table", "Measure the compliance there, too, or move the part (part.origin_mm)"
+    yield key, advice, lambda: compliance("full")
+    yield "compliance.moment", "Correct it", lambda: compliance(options.moment)
+    yield "process.force_n", "Correct force, bonnet (process.tool_modulus_mpa) or the robot's stiffness", gamma
+
+
+def require_limits(
+    recipe: Recipe, program: Program, check_plan: Callable[[Plan, Envelope], Sequence[str]], answer: RemovalAnswer
+) -> None:
+    """PlanRefused where `plan` would refuse the program with any map: travel, or removal in its shortest times."""
+    plan = shortest_time_s(recipe, program)
+    removal_nm = without_traces(answer.removal_nm(plan.expected_time_s), negligible_share(answer.effect))
+    plan = replace(plan, predicted_removal_nm=removal_nm, grid=answer.effect.grid)
+    if found := check_plan(plan, recipe.envelope):
+        first = f"{program.name}: plan would refuse it with any map. Correct the named key or the program:"
+        raise PlanRefused("\n".join([first, *(f"  {one}" for one in found)]))
+
+
+def program_warnings(recipe: Recipe, program: Program, removal_nm: float) -> list[str]:
+    """Warn of what `run` refuses, and of a program that removes too much as it is: its times may be a template's."""
+    found = [f"run will refuse: {one}" for one in steps.violations(recipe, shortest_time_s(recipe, program))]
+    most_nm = recipe.envelope.max_removal_nm
+    if removal_nm > most_nm:
+        found.append(
+            f"{program.name} as it is removes up to {removal_nm:.6g} nm, more than limits.max_removal_nm = "
+            f"{most_nm:g} nm. Check process.preston (or process.tif) and its unit; a plan replaces the program's times."
+        )
     return found
 
 

@@ -458,6 +458,7 @@ def rewrite(recipe: Recipe, program: Program, solved: SolveResult, name: str) ->
         expected_time_s=expected,
         predicted_removal_nm=without_traces(answer.removal_nm(expected), share),
         segments=Segments(rewritten.text),
+        grid=effect.grid,
     )
 
 

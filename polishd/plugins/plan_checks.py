@@ -14,11 +14,10 @@ from polishd.model.surface import BoolArray, FloatArray
 
 # What a plan must keep. Comparisons are written so that NaN is a violation too.
 
-SHOWN = 5
-"""So many lines of one violation are named; the rest is counted."""
 DIGITS = 2e-4
 """Relative room for the digits that a program is written with."""
 SAME_PLACE_MM = 1e-3
+MAX_FEED, MIN_FEED = "machine.max_feed_mm_s", "machine.min_feed_mm_s"
 
 Check = Callable[[Plan, Envelope], Iterator[str]]
 
@@ -62,9 +61,16 @@ def positions(plan: Plan, envelope: Envelope) -> Iterator[str]:
     """The tool tip stays inside the envelope, its axis is a unit vector."""
     program = plan.program
     for index, (axis, (low, high)) in enumerate(zip("xyz", (envelope.x_mm, envelope.y_mm, envelope.z_mm), strict=True)):
-        for name, values in (("starts", program.start_mm[:, index]), ("ends", program.end_mm[:, index])):
+        both = {"starts": program.start_mm[:, index], "ends": program.end_mm[:, index]}
+        limit = f"outside {low:g} to {high:g} mm (machine.{axis}_mm)"
+        for name, values in both.items():
             inside = (values >= low) & (values <= high)
-            yield from _lines(plan, inside, values, f"{name} at {axis} = {{:.6g}} mm, outside {low:g} to {high:g} mm")
+            if not inside.all():
+                needs = (
+                    f"the path needs {min(map(np.min, both.values())):.6g} to {max(map(np.max, both.values())):.6g} mm"
+                )
+                yield from _lines(plan, inside, values, f"{name} at {axis} = {{:.6g}} mm, {limit}; {needs}")
+                break
     length = np.linalg.norm(program.axis, axis=1)
     yield from _lines(plan, np.abs(length - 1) < 1e-6, length, "tool axis of length {:.6g}, not 1")
 
@@ -100,15 +106,16 @@ def feeds(plan: Plan, envelope: Envelope) -> Iterator[str]:
     top, low = most * (1 + DIGITS), least * (1 - DIGITS)
     largest = program.max_feed_mm_min / 60
     if not largest <= top:
-        yield f"the program asks for a feed of {largest:.6g} mm/s, above {most:g} mm/s"
+        yield f"the program asks for a feed of {largest:.6g} mm/s, above {most:g} mm/s ({MAX_FEED})"
     if plan.expected_time_s.shape != (program.n,) or program.encoding == "dwell":
         return  # a dwell's time is not its feed
     length = program.length_mm
     with np.errstate(divide="ignore", invalid="ignore"):
         asked, expected = (np.where(length > 0, length / t, least) for t in (program.time_s, plan.expected_time_s))
-    yield from _lines(plan, asked <= top, asked, f"asks for {{:.6g}} mm/s, above {most:g} mm/s")
-    yield from _lines(plan, expected <= top, expected, f"is expected at {{:.6g}} mm/s, above {most:g} mm/s")
-    yield from _lines(plan, asked >= low, asked, f"asks for {{:.6g}} mm/s, below {least:g} mm/s")
+    above, below = f"above {most:g} mm/s ({MAX_FEED})", f"below {least:g} mm/s ({MIN_FEED})"
+    yield from _lines(plan, asked <= top, asked, f"asks for {{:.6g}} mm/s, {above}")
+    yield from _lines(plan, expected <= top, expected, f"is expected at {{:.6g}} mm/s, {above}")
+    yield from _lines(plan, asked >= low, asked, f"asks for {{:.6g}} mm/s, {below}")
 
 
 def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:
@@ -121,9 +128,11 @@ def removal(plan: Plan, envelope: Envelope) -> Iterator[str]:
         yield f"the predicted removal falls to {predicted.min():.6g} nm: a tool adds nothing"
     if not predicted.max() <= envelope.max_removal_nm:
         row, column = np.unravel_index(int(predicted.argmax()), predicted.shape)
+        grid = plan.grid
+        place = "" if grid is None else f" at x {grid.x_mm[column]:.1f}, y {grid.y_mm[row]:.1f} mm of the part"
         yield (
-            f"the predicted removal is {predicted.max():.6g} nm at row {row}, column {column} of the process grid, "
-            f"more than limits.max_removal_nm = {envelope.max_removal_nm:g} nm"
+            f"the predicted removal is {predicted.max():.6g} nm{place}, more than limits.max_removal_nm = "
+            f"{envelope.max_removal_nm:g} nm. Check process.preston (or process.tif) and its unit, or increase it"
         )
 
 
@@ -131,12 +140,13 @@ CHECKS: tuple[Check, ...] = (text, blocks, positions, path, times, feeds, remova
 
 
 def _lines(plan: Plan, good: BoolArray, values: FloatArray, says: str) -> Iterator[str]:
-    """A violation for the first points that are not good, with line and value, and the count of the rest."""
-    found = np.flatnonzero(~good)
-    for index in found[:SHOWN]:
-        yield f"line {plan.program.line[index]}: {says.format(float(values[index]))}"
-    if found.size > SHOWN:
-        yield f"and {found.size - SHOWN} more lines, the last {plan.program.line[found[-1]]}: {says.partition('{')[0]}…"
+    """One violation for all points that are not good: line and value of the first, the count, and the last line."""
+    found, line = np.flatnonzero(~good), plan.program.line
+    if found.size:
+        more = (
+            f" (so at {found.size} of {good.size} points, the last in line {line[found[-1]]})" if found.size > 1 else ""
+        )
+        yield f"line {line[found[0]]}: {says.format(float(values[found[0]]))}{more}"
 
 
 POLISHD_API = 1

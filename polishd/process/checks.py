@@ -13,9 +13,11 @@ def refuse_where(bad: BoolArray, value: FloatArray, what: str, unit: str, limit:
     count = int(np.count_nonzero(bad))
     if count:
         k = int(np.argmax(bad))
-        raise ComputeError(
+        error = ComputeError(
             f"point {k}: {what} is {value[k]:.6g} {unit}, {limit} (so at {count} of {bad.size} points, counted from 0)"
         )
+        error.point = k
+        raise error
 
 
 def require_number(what: str, value: float, unit: str, *, above: float, below: float = np.inf) -> None:

@@ -21,6 +21,7 @@ from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.pipeline import disk_space, dwell_step, precheck, steps
 from polishd.pipeline.acceptance import forecast_of, reason_never_acceptable, ripple_notes
 from polishd.pipeline.build_recipe import make_recipes
+from polishd.pipeline.decisions import purpose_notes
 from polishd.pipeline.dwell_step import ToolProblem, require_certificate
 from polishd.pipeline.precheck import Covers, judged
 from polishd.pipeline.recipe import Recipe
@@ -80,11 +81,14 @@ def plan_part(
         raise config.error("tools", "each tool has its own program: remove the program from the command line")
     paths = [own.program_of_pass(of_pass) if program_path is None else program_path for own in config.turns]
     surface = read_map(map_path, hooks.surface_readers().values())
-    notes = _require_part(surface, config.part.id, map_path)
+    about_map = _require_part(surface, config.part.id, map_path)
     recipe = recipes[0]
     turns = [ToolProblem(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]
     measured = steps.condition(recipe, surface)
-    passes = _passes(turns, measured, hooks)
+    legs = [(own, one.recipe, one.program) for own, one in zip(config.turns, turns, strict=True)]
+    with precheck.blame_path(*legs):
+        passes = _passes(turns, measured, hooks)
+    notes = [*purpose_notes(recipe, measured, passes[-1].planned.forecast), *about_map]
     if recipe.instrument is None or recipe.instrument.commissioned is None:
         notes.append("run will refuse: the cell has no commissioned instrument's profile (polishd check says more)")
     notes += [f"run will refuse: {never}"] if (never := reason_never_acceptable(recipe)) else []

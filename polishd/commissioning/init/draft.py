@@ -19,7 +19,7 @@ from polishd.commissioning.init.arms import ARMS, UNKNOWN_N_MM_PER_RAD, as_if_ri
 from polishd.commissioning.init.connected import SampleMap
 from polishd.commissioning.init.makers import MAKERS, WHERE, RobotMaker
 from polishd.config.cell import FILES, PORTS, CellConfig, consistent, device_options
-from polishd.config.fields import OUTLINES
+from polishd.config.fields import LONGEST_NAME, OUTLINES
 from polishd.config.process_sections import HybridSection, MeasuredSection, SerialSection
 from polishd.config.toml_loader import TomlDocument, in_words, meanings, section_of, toml_type
 from polishd.drivers.cia402.device_types import SIMULATED_EDS, SIMULATED_SPINDLE
@@ -243,10 +243,15 @@ def _assume_names(draft: CellDraft, sample: SampleMap | None) -> None:
         if sample.part_id:
             draft.assume("part.id", sample.part_id, f"as {sample.name} names it")
     draft.assume("part.id", PART, "the name that its maps must give")
-    draft.assume("cell.name", re.sub(r"[^\w.-]+", "-", draft.folder.name, flags=re.ASCII).strip("-._") or "cell")
-    draft.assume("job.id", str(part["id"]))
+    draft.assume("cell.name", _as_name(draft.folder.name) or "cell")
+    draft.assume("job.id", _as_name(str(part["id"])) or "job")
     draft.assume("program.path", PROGRAM)
     draft.assume("instrument.profile", PROFILE)
+
+
+def _as_name(text: str) -> str:
+    """Return a text in the characters of names of cells and jobs; empty if it has none of them."""
+    return re.sub(r"[^\w.-]+", "-", text, flags=re.ASCII).strip("-._")[:LONGEST_NAME]
 
 
 def _assume_robot(draft: CellDraft) -> None:

@@ -40,7 +40,10 @@ class SetupStep:
 
 
 def steps(cell: Path) -> list[SetupStep]:
-    """Return all steps in order; only the first if the cell's file cannot be read."""
+    """Return all steps in order; only the first if the cell's file is missing or cannot be read."""
+    if not cell.exists():
+        found = f"{_quoted(cell)}: is missing"
+        return [SetupStep("write the cell", False, found, f"polishd init {_quoted(cell.parent)}")]
     try:
         config = load_config(cell)
     except ConfigError as error:

@@ -404,6 +404,19 @@ def path_compliance(
     return compliance_at(middle, program.axis, process, robot, placement, options=options, optic=optic)
 
 
+def require_dip(program: Program, process: ToolProcess, placement: Placement, optic: Optic) -> None:
+    """Raise ComputeError for the first timed point whose axis is not dipped as the process says."""
+    middle = (program.start_mm + program.end_mm) / 2
+    surface = frames.surface_normals(placement, middle, optic)
+    _require_dipped(process, frames.directions_to_base(placement, program.axis), surface)
+
+
+def _require_dipped(process: ToolProcess, base_axis: FloatArray, surface: FloatArray) -> None:
+    dip = frames.dips_deg(base_axis, surface)
+    off = ~(np.abs(dip - process.dip_deg) <= DIP_TOLERANCE_DEG)
+    refuse_where(off, dip, "the program's tool axis is dipped: the dip", "deg", f"the process says {process.dip_deg:g}")
+
+
 def compliance_at(
     point_mm: FloatArray,
     axis: FloatArray,
@@ -418,9 +431,7 @@ def compliance_at(
     tip = frames.points_to_base(placement, point_mm)
     base_axis = frames.directions_to_base(placement, require_unit_vectors("tool axis", axis))
     surface = frames.surface_normals(placement, point_mm, optic)
-    dip = frames.dips_deg(base_axis, surface)
-    off = ~(np.abs(dip - process.dip_deg) <= DIP_TOLERANCE_DEG)
-    refuse_where(off, dip, "the program's tool axis is dipped: the dip", "deg", f"the process says {process.dip_deg:g}")
+    _require_dipped(process, base_axis, surface)
     if isinstance(robot, MeasuredCompliance):
         return PathCompliance(measured_compliance(robot, tip), 0, 0)
     normal, fallbacks = _normals(options, placement, process.dip_deg, tip=tip, axis=base_axis, surface=surface)

@@ -125,14 +125,16 @@ def find_run(path: Path, job: str | None) -> CertificateRun:
 
 
 def _read(path: Path, cell: CellConfig | None) -> CertificateRun:
+    folder = read_folder(path)
+    if folder.planned:
+        raise ConfigError(f"{path}: is the folder of a plan: nothing was polished. Name a run folder.")
     for name in (SUMMARY, JOURNAL_NAME):
         if not (path / name).exists():
             raise ConfigError(
-                f"{path}: has no {name}: not a run folder, or the job has not ended. Run polishd run CELL.toml to "
-                "continue or end the job."
+                f"{path}: has no {name}: not a run folder, or the job has not ended. Name another run folder, or end "
+                "the job with polishd run CELL.toml."
             )
-    folder = read_folder(path)
-    if folder.planned or not folder.rows():
+    if not folder.rows():
         raise ConfigError(f"{path}: has no measurement of a job. Name another run folder.")
     run = CertificateRun(folder, read_rows(path), cell)
     _require_consistent(run)

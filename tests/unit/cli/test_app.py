@@ -65,6 +65,8 @@ def test_it_needs_no_daemon(words: tuple[str, ...]) -> None:
         (("map", "--cell", "a.toml", "map.dat"), "polishd run CELL.toml"),
         (("map", "commission", "profile.toml"), "polishd run CELL.toml"),
         (("study", "study.toml"), "polishd run CELL.toml"),
+        (("certificate", "make", "cell.toml"), "polishd run cell.toml"),
+        (("certificate", "make", "/"), "polishd run CELL.toml"),
     ],
 )
 def test_commands_of_messages_name_the_given_cell(

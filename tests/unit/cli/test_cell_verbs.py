@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict
@@ -88,17 +89,15 @@ def test_check(polishd: Polishd, files: DemoFiles) -> None:
         ({"robot": {"type": "robot"}}, 3, "robot_link"),
         ({"plugins": {"load": ["rnc_robot", "rnc_rboot"]}}, 3, "rnc_rboot"),
         ({"part": {"aperture_mm": -1.0}}, 3, "aperture_mm"),
-        ({"part": {"origin_mm": [9000.0, 0.0, 2315.0]}}, None, ""),
+        ({"part": {"origin_mm": [9000.0, 0.0, 2315.0]}}, 3, "part.origin_mm: program.rnc:5: the tip's radius is "),
     ],
 )
-def test_what_check_finds(
-    polishd: Polishd, files: DemoFiles, change: dict[str, Any], code: int | None, says: str
-) -> None:
+def test_what_check_finds(polishd: Polishd, files: DemoFiles, change: dict[str, Any], code: int, says: str) -> None:
     wrong = files.out / "wrong.toml"
     wrong.write_text(with_values(files.cell.read_text(), change))
     said = polishd("check", wrong)
     assert said.out == ""
-    assert said.code == code if code is not None else said.code > 2
+    assert said.code == code
     assert said.err.startswith("polishd: ")
     assert says in said.err
 
@@ -188,6 +187,17 @@ def test_plan_refuses_what_is_there(polishd: Polishd, files: DemoFiles) -> None:
     program = files.out / "program.rnc"
     said = polishd("plan", files.cell, program, "--program", program, "--out", files.out)
     assert (said.code, "exists already" in said.err) == (3, True)
+
+
+def test_plan_names_the_key_of_a_program_that_the_robot_cannot_follow(
+    polishd: Polishd, files: DemoFiles, tmp_path: Path
+) -> None:
+    wrong = files.out / "wrong.toml"
+    wrong.write_text(with_values(files.cell.read_text(), {"process": {"dip_deg": 3.0, "grid_mm": 0.5}}))
+    part = dat(tmp_path / "part.dat", surface(81, 81), 0.25, part=load_config(wrong).part.id)
+    said = polishd("plan", wrong, part, "--out", tmp_path / "plan")
+    assert said.code == 3, said.err
+    assert re.search(r"wrong\.toml:\d+: process\.dip_deg: program\.rnc:\d+: .* the process says 3", said.err)
 
 
 def test_plan_takes_the_cells_own_program(polishd: Polishd, files: DemoFiles, tmp_path: Path) -> None:

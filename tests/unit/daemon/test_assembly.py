@@ -21,7 +21,7 @@ from polishd.daemon.runtime.process import host
 from polishd.drivers.cia402.device_types import SIMULATED_EDS
 from polishd.hookspecs import DeviceContext, DeviceType
 from polishd.interfaces import Device, ForceActuator, Robot, Spindle
-from polishd.model.errors import ConfigError, LinkError
+from polishd.model.errors import ComputeError, ConfigError, LinkError, PlanRefused
 from polishd.model.estimates import Estimates, MachineEstimates
 from polishd.model.surface import SurfaceMap
 from polishd.pipeline.build_recipe import make_recipe, require_commissioned
@@ -241,6 +241,101 @@ def test_check_refuses_a_pass_that_can_never_be_short_enough(configured: Any, ho
     assert float(said[2]) > float(said[1]) > 20
     enough = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0}, limits={"max_pass_s": float(said[2])})
     assert checks.check_cell(enough, hooks)["pass"].startswith(f"{said[1]} s at the largest feed, ")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            {"machine": {"x_mm": [-6.0, 6.0]}},
+            r"starts at x = .*, outside -6 to 6 mm \(machine\.x_mm\); the path needs -",
+        ),
+        (
+            {"process": {"grid_mm": 2.0, "preston": "1.49e-9 m2/N"}},
+            r"removal is \d+ nm at x .* mm of the part, more than limits\.max_removal_nm = .* Check process\.preston",
+        ),
+    ],
+)
+def test_check_refuses_what_each_plan_would_be_refused_for(
+    configured: Any, hooks: Hooks, change: dict[str, Any], says: str
+) -> None:
+    config = configured(**{"part": {"aperture_mm": 30.0}, "process": {"grid_mm": 2.0}} | change)
+    config.program_path.write_bytes(demo_program(config))
+    with pytest.raises(PlanRefused, match=says) as caught:
+        checks.check_cell(config, hooks)
+    assert str(caught.value).startswith(
+        "program.rnc: plan would refuse it with any map. Correct the named key or the program:\n  plan_checks: "
+    )
+
+
+def test_check_warns_of_a_program_that_removes_too_much_as_it_is(configured: Any, hooks: Hooks) -> None:
+    """Its times may be those of no part."""
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    facts = checks.check_cell(config, hooks)
+    removal_nm = float(facts["removal of the program as it is"].split(" ")[0])
+    assert not any("as it is" in one or "run will refuse" in one for one in facts["warnings"])
+    limits = {"limits": {"max_removal_nm": 0.99 * removal_nm}}
+    less = configured(**{"part": {"aperture_mm": 30.0}, "process": {"grid_mm": 2.0}} | limits)
+    (said,) = (one for one in checks.check_cell(less, hooks)["warnings"] if "as it is" in one)
+    assert said.startswith("program.rnc as it is removes up to ")
+    assert "Check process.preston" in said
+
+
+CANNOT_FOLLOW: list[tuple[dict[str, Any], str, str]] = [
+    ({"process": {"grid_mm": 2.0, "dip_deg": 0.0}}, "process.dip_deg", "the dip is 15 deg, the process says 0"),
+    ({"part": {"aperture_mm": 30.0, "origin_mm": [3000.0, 0.0, 2315.0]}}, "part.origin_mm", "the tip's radius is "),
+    ({"process": {"grid_mm": 2.0, "tool_modulus_mpa": 3000.0}}, "process.force_n", "the way that the robot gives is "),
+    ({"part": {"aperture_mm": 30.0, "curvature_radius_mm": 20.5}}, "part.curvature_radius_mm", "the nominal optic"),
+]
+
+
+@pytest.mark.parametrize(("change", "key", "says"), CANNOT_FOLLOW)
+def test_a_program_that_the_cell_cannot_follow_is_an_error_at_its_key(
+    configured: Any, hooks: Hooks, change: dict[str, Any], key: str, says: str
+) -> None:
+    base: dict[str, Any] = {"part": {"aperture_mm": 30.0}, "process": {"grid_mm": 2.0}}
+    config = configured(**base)
+    config.program_path.write_bytes(demo_program(config))
+    wrong = configured(**base | change)
+    with pytest.raises(ConfigError) as caught:
+        checks.check_cell(wrong, hooks)
+    said = str(caught.value)
+    assert re.match(rf".*cell\.toml:\d+: {re.escape(key)}: program\.rnc:\d+: ", said), said
+    assert says in said
+    assert ": point " not in said
+
+
+def test_a_bonnet_that_does_not_fit_into_the_part_is_an_error_at_its_key(configured: Any, hooks: Hooks) -> None:
+    part = {"aperture_mm": 30.0, "curvature_radius_mm": 40.0}
+    config = configured(part=part, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    wrong = configured(part=part, process={"grid_mm": 2.0, "tool_radius_mm": 41.0})
+    with pytest.raises(ConfigError, match=r"process\.tool_radius_mm: program\.rnc:\d+: .* the bonnet of 41 mm"):
+        checks.check_cell(wrong, hooks)
+
+
+def test_a_speed_that_machine_and_language_do_not_share_is_an_error_at_its_key(
+    configured: Any, hooks: Hooks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def envelope_of(*_: object) -> None:
+        raise ComputeError("no speed in common")
+
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    monkeypatch.setattr("polishd.pipeline.precheck.envelope_of", envelope_of)
+    with pytest.raises(ConfigError, match=r"machine\.max_feed_mm_s: program\.rnc: no speed in common\. Correct it"):
+        checks.check_cell(config, hooks)
+
+
+def test_check_warns_of_a_program_that_run_refuses(configured: Any, hooks: Hooks) -> None:
+    config = configured(part={"aperture_mm": 30.0}, process={"grid_mm": 2.0})
+    config.program_path.write_bytes(demo_program(config))
+    wider = configured(part={"aperture_mm": 60.0}, process={"grid_mm": 2.0}, program={"coverage": "zone"})
+    said = [one for one in checks.check_cell(wider, hooks)["warnings"] if one.startswith("run will refuse: ")]
+    assert [re.sub(r":\d+: .*, on the part", " on the part", one.partition(": ")[2])[:25] for one in said] == [
+        "program.rnc on the part, "
+    ] * 2
 
 
 def test_check_says_what_a_pass_can_remove(configured: Any, hooks: Hooks) -> None:

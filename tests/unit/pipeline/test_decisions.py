@@ -12,9 +12,21 @@ from polishd.model.estimates import Finding
 from polishd.model.states import Outcome
 from polishd.model.tolerance import LineResult
 from polishd.pipeline import steps
-from polishd.pipeline.decisions import Accept, AnotherPass, Decision, Diverge, PassesUsed, Stalled, ToolWorn, decide
+from polishd.pipeline.decisions import (
+    Accept,
+    AnotherPass,
+    Decision,
+    Diverge,
+    PassesUsed,
+    Stalled,
+    ToolWorn,
+    decide,
+    purpose_notes,
+)
 from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult
+from polishd.process.identification.findings import Forecast
+from polishd.process.removal.ripple import NO_RIPPLE
 from tests.unit.daemon.small_job import small_map, small_recipe
 
 STALL = Finding("stall", "too little", "job")
@@ -77,3 +89,38 @@ def test_a_job_that_teaches_ends_when_its_passes_are_made(
 ) -> None:
     teaches = small_recipe(tolerance_nm=TOLERANCE_NM, objective=AS_PROGRAMMED)
     assert decide(teaches, (2.0,), at(measured, rms_nm), found, left) == decision
+
+
+GOOD, POOR, WORSE = (Forecast(0.6, 0.64, 0.7, 0.9, better) for better in (0.99, 0.04, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("rms_nm", "forecast", "starts"),
+    [
+        (0.6, GOOD, []),
+        (0.6, None, []),
+        (0.4, GOOD, ["already in tolerance (RMS 0.4 nm of 0.5 nm allowed): run makes no pass"]),
+        (
+            0.4,
+            WORSE,
+            ["already in tolerance (", "this pass makes it worse: 0.40 nm RMS now, 0.60 to 0.70 nm (90 %) exp"],
+        ),
+        (0.6, POOR, ["this pass makes it worse: 0.60 nm RMS now, "]),
+        (
+            0.6,
+            replace(GOOD, ripple=NO_RIPPLE, gain_nm=-0.1),
+            ["the next pass would gain -0.10 nm RMS and add a ripple"],
+        ),
+    ],
+)
+def test_a_plan_that_is_not_worth_its_pass_says_so(
+    recipe: Recipe, measured: MeasureResult, rms_nm: float, forecast: Forecast | None, starts: list[str]
+) -> None:
+    notes = purpose_notes(recipe, at(measured, rms_nm), forecast)
+    assert len(notes) == len(starts)
+    assert all(note.startswith(start) for note, start in zip(notes, starts, strict=True)), notes
+
+
+def test_a_plan_that_teaches_need_not_improve_the_part(measured: MeasureResult) -> None:
+    teaches = small_recipe(tolerance_nm=TOLERANCE_NM, objective=AS_PROGRAMMED)
+    assert purpose_notes(teaches, at(measured, 0.4), WORSE) == []

@@ -118,6 +118,20 @@ def test_the_certificate_states_what_the_shortest_times_remove() -> None:
     assert any(f"the shortest times of the machine remove {floored.floor_nm:.3g} nm" in note for note in floored.notes)
 
 
+def test_the_certificate_names_the_feed_that_limits_the_longest_times() -> None:
+    recipe = small_recipe()
+    measured = steps.condition(recipe, small_map())
+    free = dwell_step.solve(recipe, small_program(), measured).dwell
+    assert not any("longest time" in note for note in free.certificate.notes)
+    moves = small_program()
+    feed_mm_s = float(np.median(moves.length_mm / free.time_s))
+    fast = replace(recipe, envelope=replace(recipe.envelope, min_feed_mm_s=feed_mm_s))
+    notes = dwell_step.solve(fast, moves, measured).dwell.certificate.notes
+    (note,) = (note for note in notes if "longest time" in note)
+    assert f"by the smallest feed, {feed_mm_s:g} mm/s (machine.min_feed_mm_s): the result is limited by it" in note
+    assert note.startswith(tuple(f"{share}% of the points of {moves.name} " for share in range(11, 101)))
+
+
 def test_the_certificate_says_what_is_out_of_reach() -> None:
     def short(request: RemovalRequest) -> RemovalAnswer:
         return replace(
@@ -150,6 +164,8 @@ def test_a_time_budget_is_kept_and_costs_residual() -> None:
     assert 0.95 * budget < c.dwell_total_s <= budget * 1.0001
     assert c.predicted_rms_nm > free.predicted_rms_nm
     assert c.kkt_residual <= 1e-4
+    limits = f"the dwell takes all of dwell.budget_s = {budget:g} s: the result is limited by it"
+    assert (limits in c.notes, limits in free.notes) == (True, False)
 
 
 def test_a_budget_below_what_motion_takes_is_refused_with_both_numbers() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.api import Envelope, Plan, Program, Segment
+from polishd.model.surface import Grid
 from polishd.plugins.plan_checks import polishd_check_plan
 from tests.rs274 import read
 
@@ -62,16 +63,31 @@ def test_the_hash_covers_the_file_beside_the_program() -> None:
 
 
 BAD: dict[str, tuple[Callable[[], Plan], str]] = {
-    "x outside": (lambda: changed("end_mm", (1, 0), 91.0), "line 5: ends at x = 91 mm, outside -90 to 90 mm"),
-    "z below": (lambda: changed("start_mm", (0, 2), -1.5), "line 4: starts at z = -1.5 mm"),
+    "x outside": (
+        lambda: changed("end_mm", (1, 0), 91.0),
+        "line 5: ends at x = 91 mm, outside -90 to 90 mm (machine.x_mm); the path needs 0 to 91 mm",
+    ),
+    "z below": (
+        lambda: changed("start_mm", (0, 2), -1.5),
+        "line 4: starts at z = -1.5 mm, outside -1 to 60 mm (machine.z_mm)",
+    ),
     "NaN position": (lambda: changed("end_mm", (2, 1), np.nan), "line 6: ends at y = nan"),
     "no unit axis": (lambda: changed("axis", (2, 2), 0.9), "line 6: tool axis of length 0.9"),
     "jump": (lambda: changed("start_mm", (1, 1), 5.0), "line 5: an untimed move of 5 mm leads here, in contact"),
-    "too fast": (lambda: changed("time_s", (0,), 0.1), "line 4: asks for 100 mm/s, above 50 mm/s"),
-    "too slow": (lambda: changed("time_s", (2,), 100.0), "line 6: asks for 0.1 mm/s, below 0.5 mm/s"),
+    "too fast": (
+        lambda: changed("time_s", (0,), 0.1),
+        "line 4: asks for 100 mm/s, above 50 mm/s (machine.max_feed_mm_s)",
+    ),
+    "too slow": (
+        lambda: changed("time_s", (2,), 100.0),
+        "line 6: asks for 0.1 mm/s, below 0.5 mm/s (machine.min_feed_mm_s)",
+    ),
     "NaN time": (lambda: changed("time_s", (2,), np.nan), "line 6: asks for a time of nan s"),
     "no time": (lambda: changed("time_s", (2,), 0.0), "line 6: asks for a time of 0 s"),
-    "program's feed": (lambda: with_program(max_feed_mm_min=6000.0), "a feed of 100 mm/s"),
+    "program's feed": (
+        lambda: with_program(max_feed_mm_min=6000.0),
+        "a feed of 100 mm/s, above 50 mm/s (machine.max_feed_mm_s)",
+    ),
     "another text": (lambda: with_program(text=FEED + b"\n"), "sha256"),
     "not in order": (lambda: with_program(block=np.array([3, 5, 4])), "not in the program's order"),
     "beyond the text": (lambda: with_program(block=np.array([3, 4, 50])), "only 9 lines"),
@@ -92,8 +108,12 @@ BAD: dict[str, tuple[Callable[[], Plan], str]] = {
         "the pass is expected to take 7203 s, more than limits.max_pass_s = 7200 s: set it to 7203 or more",
     ),
     "too deep": (
+        lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), 1001.0), grid=Grid(2, 2, 3.0)),
+        "1001 nm at x -1.5, y 1.5 mm of the part, more than limits.max_removal_nm = 1000 nm. Check process.preston",
+    ),
+    "too deep somewhere": (
         lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), 1001.0)),
-        "1001 nm at row 0, column 0 of the process grid, more than limits.max_removal_nm = 1000 nm",
+        "the predicted removal is 1001 nm, more than limits.max_removal_nm",
     ),
     "negative": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), -1.0)), "falls to -1 nm"),
     "removal NaN": (lambda: replace(plan_of(), predicted_removal_nm=np.full((2, 2), np.nan)), "not finite"),
@@ -119,8 +139,10 @@ def test_each_violation_is_named(case: str) -> None:
 def test_many_lines_are_counted() -> None:
     body = b"".join(b"G1 X%d F600\n" % x for x in range(80, 120))
     found = judge(plan_of(b"G21 G90 G94\nG0 X0 Y0 Z0\n" + body + b"M2\n"))
-    assert sum("ends at x" in violation for violation in found) == 6
-    assert any("and 24 more lines, the last 42" in violation for violation in found)
+    counted = "(so at 28 of 40 points, the last in line 42)"
+    assert found == [
+        f"line 15: starts at x = 91 mm, outside -90 to 90 mm (machine.x_mm); the path needs 0 to 119 mm {counted}"
+    ]
 
 
 def test_no_points() -> None:

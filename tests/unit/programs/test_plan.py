@@ -23,6 +23,7 @@ from polishd.model.events import Event
 from polishd.model.instrument import CommissioningRecord, Instrument
 from polishd.model.program import Plan
 from polishd.model.surface import MapStep, SurfaceMap
+from polishd.model.tolerance import ToleranceLine
 from polishd.pipeline import disk_space
 from polishd.pipeline.run_folder import RunFolder
 from polishd.process.dwell.problem import DwellProblem
@@ -104,6 +105,13 @@ def test_the_folder_is_whole(desk: Desk) -> None:
     assert cycle["executed_s"] is None
     assert kept["certificate"]["kkt_residual"] <= 1e-4
     assert kept["notes"] == [UNPROVED, "a spot for tests"]
+
+
+def test_the_first_note_says_that_no_pass_is_needed(desk: Desk) -> None:
+    desk.recipe = small_recipe(tolerance_nm=1000.0, tolerance=(ToleranceLine("rms", 1000.0),))
+    first, second, *_ = desk.plan()["notes"]
+    assert first.startswith("already in tolerance (RMS ")
+    assert second == UNPROVED
 
 
 def test_the_program_in_the_folder_is_the_one_that_was_planned(desk: Desk) -> None:

@@ -120,6 +120,12 @@ def test_a_cell_that_cannot_be_read_is_the_first_thing_to_do(cell: Path) -> None
     assert "part.aperture_mm: -20 is out of range" in found["write the cell"][1]
 
 
+def test_a_cell_that_does_not_exist_is_made_by_init(tmp_path: Path) -> None:
+    assert setup(tmp_path / "new") == {
+        "write the cell": (False, f"{tmp_path / 'new' / 'cell.toml'}: is missing", f"polishd init {tmp_path / 'new'}")
+    }
+
+
 @pytest.mark.full
 def test_each_program_of_a_cell_is_needed(cell: Path) -> None:
     cell.write_text(cell.read_text().replace('"program.rnc"', '["program.rnc", "between.rnc"]'))

@@ -308,6 +308,14 @@ def drafted(folder: Path, answers: str) -> CellConfig:
     return draft_cell(answers_of(answers, folder / "answers.toml"), folder / "cell", load_own()).judged()
 
 
+@pytest.mark.parametrize(
+    ("part", "job"), [("LENS 7", "LENS-7"), ("Größe 4", "Gr-e-4"), ("鏡", "job"), ("x" * 70, "x" * 64)]
+)
+def test_a_job_is_named_after_its_part_in_the_characters_of_a_name(tmp_path: Path, part: str, job: str) -> None:
+    config = drafted(tmp_path, f'part = {{ id = "{part}", aperture_mm = 100 }}\njob.tolerance_nm = 2\n')
+    assert (config.part.id, config.job.id) == (part, job)
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("part", ["aperture_mm = 300.0", "rectangle_mm = [400.0, 300.0]"])
 def test_a_large_part_becomes_a_cell_whose_plan_takes_the_program(tmp_path: Path, part: str) -> None:

@@ -222,6 +222,12 @@ def test_a_folder_that_tells_two_truths_is_refused(whole: Path, spoil: Spoil, sa
         find_run(whole, None)
 
 
+def test_the_folder_of_a_plan_is_not_a_run(tmp_path: Path) -> None:
+    (tmp_path / "plan.npz").touch()
+    with pytest.raises(ConfigError, match="is the folder of a plan: nothing was polished"):
+        find_run(tmp_path, None)
+
+
 def test_by_its_cell_a_run_is_the_same(whole_files: DemoFiles) -> None:
     by_cell, by_folder = find_run(whole_files.cell, "demo"), find_run(whole_files.run_dir, None)
     assert by_cell.path == by_folder.path
