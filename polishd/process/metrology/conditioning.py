@@ -132,6 +132,45 @@ def resample_square(surface: SurfaceMap) -> SurfaceMap:
     )
 
 
+SQUARE_WITHIN = 1e-3
+"""Relative difference of the pitches in x and y that still counts as square pixels."""
+
+
+def is_square(wide: float, high: float) -> bool:
+    """Return whether pixels of this width and height count as square."""
+    return abs(wide - high) <= SQUARE_WITHIN * max(wide, high)
+
+
+def not_square_warning(wide_mm: float, high_mm: float) -> str:
+    """Return the warning of a map whose pixels are not square."""
+    return f"pixels are {wide_mm:.6g} mm wide and {high_mm:.6g} mm high: not square; a cell resamples the map"
+
+
+def with_coordinate_unit(surface: SurfaceMap, unit_mm: float) -> SurfaceMap:
+    """The map with the lateral scale of its coordinates (``unscaled_pitches``), one unit of which is ``unit_mm``.
+
+    Raises:
+        MapError: no map has such a scale.
+    """
+    if surface.unscaled_pitches is None:
+        return surface
+    wide, high = (value * unit_mm for value in surface.unscaled_pitches)
+    fault = scale_fault(surface.height_nm.shape[1:], wide) or scale_fault(surface.height_nm.shape[:1], high)
+    if fault:
+        raise MapError(f"{_name(surface)}: coordinates in units of {unit_mm:g} mm: {fault}. Check the unit")
+    square = is_square(wide, high)
+    new = {} if square else {"square pixels": not_square_warning(wide, high)}
+    settled = surface.doubts.get("pitch")
+    return replace(
+        surface,
+        pitch_mm=wide / 2 + high / 2 if square else None,
+        pitches_mm=None if square else (wide, high),
+        unsaid=(surface.unsaid - {"pitch"}) | new.keys(),
+        doubts={key: words for key, words in surface.doubts.items() if key != "pitch"} | new,
+        warnings=(*(words for words in surface.warnings if words != settled), *new.values()),
+    )
+
+
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
     """(ny, nx) distance of each sample from the outline of the data, mm; 0 outside it, holes are not outline."""
     outline = scipy.ndimage.binary_fill_holes(np.isfinite(height_nm))
@@ -181,8 +220,12 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
     return filled
 
 
+def _name(surface: SurfaceMap) -> str:
+    return surface.path.name if surface.path is not None else "the map"
+
+
 def _check(surface: SurfaceMap, outline: Outline) -> None:
-    name = surface.path.name if surface.path is not None else "the map"
+    name = _name(surface)
     if surface.pitch_mm is None:
         raise MapError(f"{name} has no lateral scale: give the instrument's profile a pitch")
     if not surface.valid.any():

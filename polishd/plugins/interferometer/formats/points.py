@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.api import MapError, SurfaceMap
-from polishd.model.surface import FloatArray
+from polishd.model.surface import IN_UNITS, FloatArray
 from polishd.plugins.interferometer.formats.common import (
-    IN_UNITS,
     NO_PITCH,
     Pitch,
     checked,

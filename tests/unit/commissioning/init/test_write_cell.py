@@ -271,10 +271,23 @@ def test_with_the_answer_the_profile_says_what_the_files_do_not(tmp_path: Path) 
     init(tmp_path, SAMPLED + 'sample_units = "mm,um"\n')
     instrument = load_profile(tmp_path / "cell" / "instrument.toml").instrument
     assert (instrument.pitch_mm, instrument.unit_nm) == (1.0, 1e3)
+    assert instrument.coordinate_unit_mm == 1.0
     assert load_config(tmp_path / "cell" / "cell.toml").part.aperture_mm == 41
     surface = MapSource.of(None, tmp_path / "cell" / "instrument.toml").read(tmp_path / "points.xyz")
     assert surface.pitch_mm == 1.0
     assert np.nanmax(surface.height_nm) == pytest.approx(1e3 * np.hypot(0.2, 0.1) * 20, rel=0.02)
+
+
+@pytest.mark.full
+def test_the_profile_of_a_sample_that_is_not_square_reads_it_again(tmp_path: Path) -> None:
+    lines = [line.split() for line in POINTS.splitlines()]
+    (tmp_path / "points.xyz").write_text("".join(f"{x} {1.08 * float(y):g} {z}\n" for x, y, z in lines))
+    init(tmp_path, SAMPLED + 'sample_units = "mm,um"\n')
+    profile = tmp_path / "cell" / "instrument.toml"
+    assert load_profile(profile).instrument.coordinate_unit_mm == 1.0
+    surface = MapSource.of(None, profile, partly=False).read(tmp_path / "points.xyz")
+    assert surface.pitch_mm == 1.0
+    assert surface.height_nm.shape == (44, 41)
 
 
 @pytest.mark.full
