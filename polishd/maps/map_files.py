@@ -20,7 +20,7 @@ from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle, Outline, hexagon, rectangle
 from polishd.model.surface import IN_UNITS, BoolArray, FloatArray, MapInput, MapStep, MaskCount, SurfaceMap
 from polishd.pipeline.run_folder import read_map
-from polishd.plugins.interferometer.formats.common import nm_per
+from polishd.plugins.interferometer.formats.common import Pitch, checked, nm_per, oddities
 from polishd.process.metrology.conditioning import SAME_PITCH, with_coordinate_unit
 from polishd.rendering.terminal import stdout
 from polishd.util.files import require_writable_file
@@ -345,22 +345,24 @@ def _with_scale_advice(surface: SurfaceMap) -> SurfaceMap:
 
 
 def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceMap:
-    """The map with the units that its file does not state."""
+    """The map with the units that its file does not state; MapError for a size or heights that no map has."""
     nm, mm = nm_per(height) or 1.0, None if lateral is None else nm_per(lateral)
     scaled = surface if mm is None else with_coordinate_unit(surface, mm / 1e6)
     if scaled is surface and "unit" not in surface.unsaid:
         return replace(surface, warnings=(*surface.warnings, f"--units {height}: not used: the file says its own"))
     scaled = replace(scaled, factors={**surface.factors, "units": [lateral, height]})
-    if "unit" not in surface.unsaid:
-        return scaled
-    settled = surface.doubts.get("unit")
-    return replace(
-        scaled,
-        height_nm=surface.height_nm * nm,
-        unsaid=scaled.unsaid - {"unit"},
-        doubts={key: words for key, words in scaled.doubts.items() if key != "unit"},
-        warnings=tuple(words for words in scaled.warnings if words != settled),
-    )
+    if "unit" in surface.unsaid:
+        settled = surface.doubts.get("unit")
+        scaled = replace(
+            scaled,
+            height_nm=checked(surface.path or Path(), surface.height_nm * nm, nm),
+            unsaid=scaled.unsaid - {"unit"},
+            doubts={key: words for key, words in scaled.doubts.items() if key != "unit"},
+            warnings=tuple(words for words in scaled.warnings if words != settled),
+        )
+    odd = oddities(scaled.height_nm, Pitch(scaled.pitch_mm, both_mm=scaled.pitches_mm))
+    new = [words for words in odd if words not in scaled.warnings]
+    return replace(scaled, warnings=(*scaled.warnings, *new))
 
 
 def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:

@@ -18,7 +18,7 @@ from polishd.model.errors import MapError, PolishdError
 from polishd.model.surface import IN_UNITS, SurfaceMap
 from polishd.pipeline.run_folder import read_map
 from polishd.plugins.interferometer.formats.common import nm_per
-from polishd.process.metrology.conditioning import resample_square
+from polishd.process.metrology.conditioning import resample_square, scale_fault
 from polishd.util.serialization import toml
 
 INTERFACES = Path("/sys/class/net")
@@ -176,6 +176,8 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
     except typer.BadParameter as error:
         raise MapError(f"{path}: {error.message.replace('--units', 'sample_units')}") from error
     if pitch_mm is not None and missing_of(read) == "sample_pitch_mm":
+        if fault := scale_fault(read.height_nm.shape, pitch_mm):
+            raise MapError(f"{path}: sample_pitch_mm = {pitch_mm:g}: {fault}. Correct it")
         settled = read.doubts.get("pitch")
         read = replace(
             read,

@@ -155,7 +155,7 @@ def with_coordinate_unit(surface: SurfaceMap, unit_mm: float) -> SurfaceMap:
     if surface.unscaled_pitches is None:
         return surface
     wide, high = (value * unit_mm for value in surface.unscaled_pitches)
-    fault = scale_fault(surface.height_nm.shape[1:], wide) or scale_fault(surface.height_nm.shape[:1], high)
+    fault = _pixel_fault(surface, wide, high)
     if fault:
         raise MapError(f"{_name(surface)}: coordinates in units of {unit_mm:g} mm: {fault}. Check the unit")
     square = is_square(wide, high)
@@ -234,13 +234,17 @@ def _check(surface: SurfaceMap, outline: Outline) -> None:
     if shown > MOST_DATA:
         raise WrongPart(
             f"{name} has data over {shown:.1f} times the area of the part, {outline}: it shows a larger one; name the "
-            "right map, mend the part's outline, or mask what is not the part"
+            "right map, mend the part's outline, mask what is not the part, or check the map's units and the profile's "
+            "pitch_mm"
         )
     ny, nx = surface.height_nm.shape
     for word, count, needed_mm in zip(("wide", "high"), (nx, ny), outline.size_mm, strict=True):
         size = count * surface.pitch_mm
         if size < needed_mm - surface.pitch_mm:
-            raise MapError(f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm")
+            raise MapError(
+                f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm. Name a map of the whole part, or check "
+                "the map's units, the profile's pitch_mm or coordinate_unit_mm, and the part's outline"
+            )
 
 
 def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> Masks:
@@ -290,14 +294,22 @@ def scale_fault(shape: tuple[int, ...], pitch_mm: float) -> str:
     return ""
 
 
+def _pixel_fault(surface: SurfaceMap, wide_mm: float, high_mm: float) -> str:
+    """`scale_fault` of pixels of this width and height."""
+    ny, nx = surface.height_nm.shape
+    return scale_fault((nx,), wide_mm) or scale_fault((ny,), high_mm)
+
+
 def _scaled(surface: SurfaceMap) -> SurfaceMap:
-    fault = "" if surface.pitch_mm is None else scale_fault(surface.height_nm.shape, surface.pitch_mm)
+    pixel_mm = surface.pitches_mm or (None if surface.pitch_mm is None else (surface.pitch_mm, surface.pitch_mm))
+    fault = "" if pixel_mm is None else _pixel_fault(surface, *pixel_mm)
     if not fault:
         return surface
     warning = f"its lateral scale is not used: {fault}"
     return replace(
         surface,
         pitch_mm=None,
+        pitches_mm=None,
         warnings=(*surface.warnings, warning),
         unsaid=surface.unsaid | {"pitch"},
         doubts={**surface.doubts, "pitch": warning},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +158,38 @@ def test_no_file_is_written_that_loses_the_shape_of_the_pixels(polishd: Polishd,
     assert refused.code == 8
     assert "not square" in refused.err
     assert not (tmp_path / "a.dat").exists()
+
+
+@pytest.mark.parametrize(
+    ("units", "what"),
+    [
+        ("pm,nm", "a sample would be 5e-10 mm wide, less than 1 nm. Check the unit"),
+        ("m,m", "heights"),
+        ("nm,m", "less than 1 nm"),
+    ],
+)
+def test_units_that_no_map_has_are_refused(polishd: Polishd, tmp_path: Path, units: str, what: str) -> None:
+    path = listed(tmp_path / "a.xyz", "", wide=0.5)
+    refused = polishd("map", path, "--units", units)
+    assert refused.code == 8
+    assert re.search(what, refused.err)
+
+
+def test_a_part_of_more_than_20_m_and_steep_heights_in_units_of_the_option(polishd: Polishd, tmp_path: Path) -> None:
+    wide = tmp_path / "wide.xyz"
+    wide.write_text("".join(f"{9 * x} {9 * y} {x + y}\n" for x in range(6) for y in range(5)))
+    refused = polishd("map", wide, "--units", "m,nm")
+    assert refused.code == 8
+    assert "more than 20 m. Check the unit" in refused.err
+    steep = polishd("map", wide, "--units", "um,mm", "--json").answer
+    assert any("check the unit of heights" in words for words in steep["warnings"])
+
+
+def test_a_header_with_such_units_loses_its_scale_also_where_pixels_are_not_square(
+    polishd: Polishd, tmp_path: Path
+) -> None:
+    path = listed(tmp_path / "a.csv", "x_pm,y_pm,z_nm", ",", wide=0.5)
+    answer = polishd("map", path, "--json").answer
+    assert (answer["pitch_mm"], answer["pitches_mm"]) == (None, None)
+    assert "pitch" in answer["unsaid"]
+    assert any("its lateral scale is not used" in words for words in answer["warnings"])
