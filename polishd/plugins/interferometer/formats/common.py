@@ -57,7 +57,11 @@ def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
     if height_nm.ndim != 2 or not height_nm.size:
         raise MapError(f"{path}: holds an array of shape {height_nm.shape}, not rows and columns")
     if np.isinf(height_nm).any():
-        raise MapError(f"{path}: {np.count_nonzero(np.isinf(height_nm))} samples are infinite")
+        infinite = np.argwhere(np.isinf(height_nm))
+        raise MapError(
+            f"{path}: an infinite height in row {infinite[0][0]}, column {infinite[0][1]}, {len(infinite)} in all. "
+            "Mark missing data as the format does, and export the map again"
+        )
     if np.isnan(height_nm).all():
         raise MapError(f"{path}: no sample holds data")
     return height_nm
