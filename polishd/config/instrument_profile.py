@@ -59,10 +59,12 @@ class HeightTable(ConfigSection):
 
 
 class LateralTable(ConfigSection):
-    """Pitch of files without one, and its tolerance."""
+    """Pitch of files without one, the unit of coordinates, and the tolerance."""
 
     pitch_mm: Positive | None = _PLAIN.pitch_mm
     """Pitch of files without one. The pitch of a file must agree with it."""
+    coordinate_unit_mm: Positive | None = _PLAIN.coordinate_unit_mm
+    """Millimeters per unit of the coordinates, for lists of points without a unit. They have a pitch then."""
     pitch_tolerance: Share = _PLAIN.pitch_tolerance
     """Largest relative deviation of a file's pitch. [1]"""
 
@@ -248,6 +250,8 @@ def load_profile(path: Path) -> InstrumentProfile:
     raw, source = load_toml(path)
     given = ProfileFile.of(raw, source)
     values = given.model_dump(mode="json", exclude=UNPROVED)
+    if given.lateral.coordinate_unit_mm is None:  # records of profiles from before this key stay valid
+        del values["lateral"]["coordinate_unit_mm"]
     sha256 = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
     record = None if given.commissioned is None else CommissioningRecord(**dict(given.commissioned))
     unproved = _unproved(path, record, sha256)

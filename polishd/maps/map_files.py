@@ -18,10 +18,10 @@ from polishd.maps.options import ReadOptions
 from polishd.model.errors import ComputeError, ConfigError, MapError
 from polishd.model.instrument import Instrument
 from polishd.model.outline import Circle, Outline, hexagon, rectangle
-from polishd.model.surface import BoolArray, FloatArray, MapInput, MapStep, MaskCount, SurfaceMap
+from polishd.model.surface import IN_UNITS, BoolArray, FloatArray, MapInput, MapStep, MaskCount, SurfaceMap
 from polishd.pipeline.run_folder import read_map
-from polishd.plugins.interferometer.formats.common import IN_UNITS, NO_PITCH, nm_per, pitch
-from polishd.process.metrology.conditioning import SAME_PITCH
+from polishd.plugins.interferometer.formats.common import Pitch, checked, nm_per, oddities
+from polishd.process.metrology.conditioning import SAME_PITCH, with_coordinate_unit
 from polishd.rendering.terminal import stdout
 from polishd.util.files import require_writable_file
 
@@ -345,29 +345,24 @@ def _with_scale_advice(surface: SurfaceMap) -> SurfaceMap:
 
 
 def _in_units(surface: SurfaceMap, lateral: str | None, height: str) -> SurfaceMap:
-    """The map with the units that its file does not state."""
+    """The map with the units that its file does not state; MapError for a size or heights that no map has."""
     nm, mm = nm_per(height) or 1.0, None if lateral is None else nm_per(lateral)
-    pitches = surface.factors.get(IN_UNITS)
-    answered = {"unit"} & surface.unsaid
-    found = NO_PITCH
-    if mm is not None and pitches is not None and surface.pitch_mm is None:
-        answered = answered | {"pitch"}
-        found = pitch(surface.path or Path(), *(value * mm / 1e6 for value in pitches))
-    if not answered:
+    scaled = surface if mm is None else with_coordinate_unit(surface, mm / 1e6)
+    if scaled is surface and "unit" not in surface.unsaid:
         return replace(surface, warnings=(*surface.warnings, f"--units {height}: not used: the file says its own"))
-    settled = {surface.doubts.get(key) for key in answered}
-    left = {key: words for key, words in surface.doubts.items() if key not in answered}
-    new = dict(found.doubts) if "pitch" in answered else {}
-    return replace(
-        surface,
-        height_nm=surface.height_nm * nm if "unit" in answered else surface.height_nm,
-        pitch_mm=found.mm if "pitch" in answered else surface.pitch_mm,
-        pitches_mm=found.both_mm if "pitch" in answered else surface.pitches_mm,
-        factors={**surface.factors, "units": [lateral, height]},
-        unsaid=(surface.unsaid - answered) | new.keys(),
-        doubts=left | new,
-        warnings=(*(words for words in surface.warnings if words not in settled), *new.values()),
-    )
+    scaled = replace(scaled, factors={**surface.factors, "units": [lateral, height]})
+    if "unit" in surface.unsaid:
+        settled = surface.doubts.get("unit")
+        scaled = replace(
+            scaled,
+            height_nm=checked(surface.path or Path(), surface.height_nm * nm, nm),
+            unsaid=scaled.unsaid - {"unit"},
+            doubts={key: words for key, words in scaled.doubts.items() if key != "unit"},
+            warnings=tuple(words for words in scaled.warnings if words != settled),
+        )
+    odd = oddities(scaled.height_nm, Pitch(scaled.pitch_mm, both_mm=scaled.pitches_mm))
+    new = [words for words in odd if words not in scaled.warnings]
+    return replace(scaled, warnings=(*scaled.warnings, *new))
 
 
 def _of_format(readers: Mapping[str, SurfaceReader], name: str) -> Sequence[SurfaceReader]:

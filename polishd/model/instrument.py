@@ -79,6 +79,8 @@ class Instrument:
     """nm per unit of heights in files that name no unit."""
     pitch_mm: float | None = None
     """Pitch of files that give none. One that a file gives must agree within ``pitch_tolerance``."""
+    coordinate_unit_mm: float | None = None
+    """mm per unit of coordinates in files that list points and name no unit."""
     pitch_tolerance: float = 0.02
     gives: frozenset[str] = frozenset()
     """Entries of ``SurfaceMap.unsaid`` that the profile answers without a number ("surface", "orientation")."""

@@ -150,6 +150,10 @@ class MaskCount(NamedTuple):
     """Samples with data that the map had."""
 
 
+IN_UNITS = "pitches_in_its_unit"
+"""Key in a map's ``factors``: pitches in x and y in a lateral unit that the file does not state."""
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceMap:
     """One interferometer map: surface (not wavefront) height, positive = high, NaN = no data.
@@ -195,6 +199,14 @@ class SurfaceMap:
             raise ValueError("this map has no lateral scale (pitch_mm is None)")
         ny, nx = self.height_nm.shape
         return Grid(ny, nx, self.pitch_mm)
+
+    @property
+    def unscaled_pitches(self) -> tuple[float, float] | None:
+        """Width and height of a pixel in a unit that the file does not state; None where it has a scale, or no such."""
+        if self.pitch_mm is not None or self.pitches_mm is not None or IN_UNITS not in self.factors:
+            return None
+        wide, high = self.factors[IN_UNITS]
+        return wide, high
 
     @property
     def measured_at(self) -> datetime | None:

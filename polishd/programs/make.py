@@ -16,17 +16,18 @@ from polishd.config.cell import CellConfig
 from polishd.config.cell_sections import InstrumentSection
 from polishd.config.table_files import read_polygon
 from polishd.maps.map_files import MapSource
-from polishd.model.errors import ComputeError, ConfigError, ProgramError
+from polishd.model.errors import ComputeError, ConfigError, MapError, ProgramError
 from polishd.model.outline import hexagon
 from polishd.model.process import FLAT, ComplianceOptions, Optic, Placement
 from polishd.model.program import Encoding, Program
-from polishd.model.surface import FloatArray
+from polishd.model.surface import FloatArray, SurfaceMap
 from polishd.pipeline import precheck
 from polishd.pipeline.build_recipe import make_recipe
 from polishd.plugin_loader import Hooks, load_cell
 from polishd.plugins.rnc_robot.dialect import DEFAULT
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
 from polishd.plugins.rnc_robot.formats import path_program, read
+from polishd.process.metrology.conditioning import resample_square
 from polishd.process.optic_surface import unit_normals
 from polishd.process.removal import contact
 from polishd.process.removal.quiet_pitch import MORE_PATH, ContactAt, QuietPitch, quiet_pitch
@@ -241,7 +242,7 @@ def make_path(options: MakeOptions, config: CellConfig | None) -> GeneratedPath:
             "direction_deg": options.direction_deg,
             "min_radius_mm": _radius_mm(options, config),
         }
-        density = _density(options)
+        density = _density(options, aperture)
         if options.shape == "random":
             points = random_raster(aperture, **common, **bends, seed=options.seed, density=density)
         elif density is None:
@@ -299,11 +300,33 @@ def _radius_mm(options: MakeOptions, config: CellConfig | None) -> float:
     return MIN_RADIUS_MM if config is None else config.envelope().max_feed_mm_s ** 2 / config.envelope().accel_mm_s2
 
 
-def _density(options: MakeOptions) -> LineDensity | None:
-    """Density of the lines for the map of ``--removal``: what lies above the lowest 0.5 % of its samples."""
+def _map_with_scale(options: MakeOptions, path: Path) -> SurfaceMap:
+    """The map on square pixels; MapError where it has no lateral scale."""
+    measured = resample_square(MapSource.of(options.cell).read(path))
+    if measured.pitch_mm is None:
+        raise MapError(
+            f"{path}: has no lateral scale. Give --cell with a profile of the instrument that states it, or name a "
+            "copy of the map that has one: polishd map convert MAP COPY.x3p, with --profile P.toml or --units mm,nm"
+        )
+    return measured
+
+
+def _density(options: MakeOptions, aperture: Aperture) -> LineDensity | None:
+    """Density of the lines for the map of ``--removal``: what lies above the lowest 0.5 % of its samples.
+
+    MapError where the map is smaller than the aperture, as for a plan.
+    """
     if options.removal is None:
         return None
-    measured = MapSource.of(options.cell).read(options.removal)
+    measured = _map_with_scale(options, options.removal)
+    size_mm = np.array(measured.grid.shape[::-1]) * measured.grid.pitch_mm
+    needed_mm = np.ptp(aperture.outline_mm(), axis=0)
+    if (size_mm < needed_mm - measured.grid.pitch_mm).any():
+        raise MapError(
+            f"{options.removal}: the map is {size_mm[0]:.4g} x {size_mm[1]:.4g} mm, smaller than the aperture of "
+            f"{needed_mm[0]:.4g} x {needed_mm[1]:.4g} mm. Name a map of the whole part, or check the map's pitch and "
+            "--aperture"
+        )
     low = float(np.quantile(measured.height_nm[measured.valid], LOWEST))
     return LineDensity.of_removal(measured.grid, measured.height_nm - low, measured.valid)
 
@@ -315,7 +338,7 @@ def _aperture(options: MakeOptions, config: CellConfig | None) -> Aperture:
         return apertures.over_outline(config.outline())
     name, _, rest = options.aperture.partition(":")
     if name == "mask" and rest:
-        measured = MapSource.of(options.cell).read(Path(rest))
+        measured = _map_with_scale(options, Path(rest))
         return apertures.over_mask(measured.grid, measured.valid)
     if name == "polygon" and rest:
         return apertures.over_outline(read_polygon(Path(rest)))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from polishd.config.cell import CellConfig
-from polishd.model.errors import PlanRefused, WrongPart
+from polishd.model.errors import MapError, PlanRefused, WrongPart
 from polishd.model.events import PlanWritten
 from polishd.model.program import Plan, Program
 from polishd.model.surface import FloatArray, SurfaceMap
@@ -28,6 +28,7 @@ from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.records import MeasureResult, PlanResult, SolveResult, figures
 from polishd.pipeline.run_folder import RunFolder, read_map
 from polishd.plugin_loader import Hooks
+from polishd.plugins.interferometer.formats.common import is_level
 from polishd.process.metrology.instrument import apply_profile
 from polishd.util.files import require_new, require_writable, unwritable_message
 
@@ -81,6 +82,8 @@ def plan_part(
         raise config.error("tools", "each tool has its own program: remove the program from the command line")
     paths = [own.program_of_pass(of_pass) if program_path is None else program_path for own in config.turns]
     surface = read_map(map_path, hooks.surface_readers().values())
+    if surface.valid.any() and is_level(surface.height_nm):  # as a cell refuses it
+        raise MapError(f"{map_path}: all its heights are equal: nothing was measured. Measure or export the map again")
     about_map = _require_part(surface, config.part.id, map_path)
     recipe = recipes[0]
     turns = [ToolProblem(one, steps.read_program(one, path)) for one, path in zip(recipes, paths, strict=True)]

@@ -15,10 +15,10 @@ from serial.tools import list_ports
 from polishd.hookspecs import SurfaceReader
 from polishd.maps.map_files import MapSource, readers_for
 from polishd.model.errors import MapError, PolishdError
-from polishd.model.surface import SurfaceMap
+from polishd.model.surface import IN_UNITS, SurfaceMap
 from polishd.pipeline.run_folder import read_map
-from polishd.plugins.interferometer.formats.common import IN_UNITS, nm_per
-from polishd.process.metrology.conditioning import resample_square
+from polishd.plugins.interferometer.formats.common import nm_per
+from polishd.process.metrology.conditioning import resample_square, scale_fault
 from polishd.util.serialization import toml
 
 INTERFACES = Path("/sys/class/net")
@@ -149,6 +149,8 @@ class SampleMap:
     """As it was answered: its files do not say it."""
     unit_nm: float | None = None
     """Of its heights, likewise."""
+    coordinate_unit_mm: float | None = None
+    """Of its coordinates, likewise."""
 
     @property
     def part_id(self) -> str:
@@ -174,6 +176,8 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
     except typer.BadParameter as error:
         raise MapError(f"{path}: {error.message.replace('--units', 'sample_units')}") from error
     if pitch_mm is not None and missing_of(read) == "sample_pitch_mm":
+        if fault := scale_fault(read.height_nm.shape, pitch_mm):
+            raise MapError(f"{path}: sample_pitch_mm = {pitch_mm:g}: {fault}. Correct it")
         settled = read.doubts.get("pitch")
         read = replace(
             read,
@@ -189,9 +193,17 @@ def read_sample(path: Path, units: str | None = None, pitch_mm: float | None = N
         key = missing_of(surface)
         example = '"mm,nm"' if key == "sample_units" else "0.1"
         raise MapError(f"{path}: its file has no lateral scale. Give instrument.{key}, as {key} = {example}.")
-    own = read.factors.get("units")
-    unit_nm = nm_per(own[1]) if own else None
-    return SampleMap(path.name, surface, aperture_mm(surface, surface.pitch_mm), pitch_mm, unit_nm)
+    lateral, height = read.factors.get("units", (None, None))
+    unit_nm = None if height is None else nm_per(height)
+    coordinate_nm = None if lateral is None or IN_UNITS not in read.factors else nm_per(lateral)
+    return SampleMap(
+        path.name,
+        surface,
+        aperture_mm(surface, surface.pitch_mm),
+        pitch_mm,
+        unit_nm,
+        None if coordinate_nm is None else coordinate_nm / 1e6,
+    )
 
 
 def aperture_mm(surface: SurfaceMap, pitch_mm: float) -> float:
@@ -217,6 +229,10 @@ def profile_text(sample: SampleMap | None) -> str:
     unit = UNIT if "unit" in surface.unsaid else ""
     if sample.unit_nm is not None:
         unit = f"unit_nm = {sample.unit_nm:g}                      # nanometres per unit, as was answered\n"
+    if sample.pitch_mm is not None or sample.coordinate_unit_mm is not None:
+        unit += "\n[lateral]\n"
     if sample.pitch_mm is not None:
-        unit += f"\n[lateral]\npitch_mm = {sample.pitch_mm:.9g}  # of a pixel on the part, as was answered\n"
+        unit += f"pitch_mm = {sample.pitch_mm:.9g}  # of a pixel on the part, as was answered\n"
+    if sample.coordinate_unit_mm is not None:
+        unit += f"coordinate_unit_mm = {sample.coordinate_unit_mm:g}  # per unit of coordinates, as was answered\n"
     return TEMPLATE.format(name=name, says="\n".join(says) + "\n", unit=unit)

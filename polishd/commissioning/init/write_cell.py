@@ -19,7 +19,7 @@ from rich.table import Table
 
 from polishd.commissioning.calibration.fits import SpotPlace, tif_of_maps
 from polishd.commissioning.init.answers import Answers, SpotKeys, read_answers
-from polishd.commissioning.init.connected import look, profile_text, read_sample
+from polishd.commissioning.init.connected import SampleMap, look, profile_text, read_sample
 from polishd.commissioning.init.draft import PROFILE, CellDraft, cell_text, draft_cell
 from polishd.commissioning.init.questions import ANSWERS, Question, ask_questions
 from polishd.commissioning.init.steps import SetupStep, lines, steps
@@ -328,6 +328,8 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
         shown = None if path is None else read_sample(path, own.sample_units, own.sample_pitch_mm)
     draft = draft_cell(answers, folder, load_own(), shown)
     config = draft.judged()
+    if shown is not None:
+        _require_size_of_part(answers, shown, config)
     if answers.own.spot is not None:
         with _blamed(answers, "spot"):
             add_spot(draft, answers.own.spot, config)
@@ -340,6 +342,24 @@ def new_cell(answers: Answers, folder: Path) -> NewCell:
     program_note = _add_program(draft, config)
     files = {CELL: text.encode(), **draft.files}
     return NewCell(draft.folder, files, draft.assumed, draft.blank, program_note)
+
+
+OTHER_SIZE = 5.0
+"""Ratio of the sizes of sample and part beyond which the answered unit or pitch is wrong: no unit is so close to mm."""
+
+
+def _require_size_of_part(answers: Answers, sample: SampleMap, config: CellConfig) -> None:
+    """ConfigError where, with the answered units or pitch, the sample is no map of a part of this size."""
+    if sample.pitch_mm is None and sample.coordinate_unit_mm is None:
+        return
+    shown_mm, part_mm = max(sample.surface.grid.shape) * sample.surface.grid.pitch_mm, max(config.outline().size_mm)
+    if not part_mm / OTHER_SIZE <= shown_mm <= part_mm * OTHER_SIZE:
+        key = "sample_pitch_mm" if answers.own.instrument.sample_units is None else "sample_units"
+        raise answers.own.error(
+            f"instrument.{key}",
+            f"{sample.name} is then {shown_mm:.4g} mm wide, and the part {part_mm:.4g} mm. Correct {key}, or the size "
+            "of the part",
+        )
 
 
 @contextmanager

@@ -132,6 +132,45 @@ def resample_square(surface: SurfaceMap) -> SurfaceMap:
     )
 
 
+SQUARE_WITHIN = 1e-3
+"""Relative difference of the pitches in x and y that still counts as square pixels."""
+
+
+def is_square(wide: float, high: float) -> bool:
+    """Return whether pixels of this width and height count as square."""
+    return abs(wide - high) <= SQUARE_WITHIN * max(wide, high)
+
+
+def not_square_warning(wide_mm: float, high_mm: float) -> str:
+    """Return the warning of a map whose pixels are not square."""
+    return f"pixels are {wide_mm:.6g} mm wide and {high_mm:.6g} mm high: not square; a cell resamples the map"
+
+
+def with_coordinate_unit(surface: SurfaceMap, unit_mm: float) -> SurfaceMap:
+    """The map with the lateral scale of its coordinates (``unscaled_pitches``), one unit of which is ``unit_mm``.
+
+    Raises:
+        MapError: no map has such a scale.
+    """
+    if surface.unscaled_pitches is None:
+        return surface
+    wide, high = (value * unit_mm for value in surface.unscaled_pitches)
+    fault = _pixel_fault(surface, wide, high)
+    if fault:
+        raise MapError(f"{_name(surface)}: coordinates in units of {unit_mm:g} mm: {fault}. Check the unit")
+    square = is_square(wide, high)
+    new = {} if square else {"square pixels": not_square_warning(wide, high)}
+    settled = surface.doubts.get("pitch")
+    return replace(
+        surface,
+        pitch_mm=wide / 2 + high / 2 if square else None,
+        pitches_mm=None if square else (wide, high),
+        unsaid=(surface.unsaid - {"pitch"}) | new.keys(),
+        doubts={key: words for key, words in surface.doubts.items() if key != "pitch"} | new,
+        warnings=(*(words for words in surface.warnings if words != settled), *new.values()),
+    )
+
+
 def from_outline_mm(height_nm: FloatArray, pitch_mm: float) -> FloatArray:
     """(ny, nx) distance of each sample from the outline of the data, mm; 0 outside it, holes are not outline."""
     outline = scipy.ndimage.binary_fill_holes(np.isfinite(height_nm))
@@ -181,8 +220,12 @@ def fill_holes(height_nm: FloatArray) -> FloatArray:
     return filled
 
 
+def _name(surface: SurfaceMap) -> str:
+    return surface.path.name if surface.path is not None else "the map"
+
+
 def _check(surface: SurfaceMap, outline: Outline) -> None:
-    name = surface.path.name if surface.path is not None else "the map"
+    name = _name(surface)
     if surface.pitch_mm is None:
         raise MapError(f"{name} has no lateral scale: give the instrument's profile a pitch")
     if not surface.valid.any():
@@ -191,13 +234,17 @@ def _check(surface: SurfaceMap, outline: Outline) -> None:
     if shown > MOST_DATA:
         raise WrongPart(
             f"{name} has data over {shown:.1f} times the area of the part, {outline}: it shows a larger one; name the "
-            "right map, mend the part's outline, or mask what is not the part"
+            "right map, mend the part's outline, mask what is not the part, or check the map's units and the profile's "
+            "pitch_mm"
         )
     ny, nx = surface.height_nm.shape
     for word, count, needed_mm in zip(("wide", "high"), (nx, ny), outline.size_mm, strict=True):
         size = count * surface.pitch_mm
         if size < needed_mm - surface.pitch_mm:
-            raise MapError(f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm")
+            raise MapError(
+                f"{name} is {size:g} mm {word}, the aperture {needed_mm:g} mm. Name a map of the whole part, or check "
+                "the map's units, the profile's pitch_mm or coordinate_unit_mm, and the part's outline"
+            )
 
 
 def _new_masks(raw: FloatArray, aperture: BoolArray, clear: BoolArray) -> Masks:
@@ -247,14 +294,22 @@ def scale_fault(shape: tuple[int, ...], pitch_mm: float) -> str:
     return ""
 
 
+def _pixel_fault(surface: SurfaceMap, wide_mm: float, high_mm: float) -> str:
+    """`scale_fault` of pixels of this width and height."""
+    ny, nx = surface.height_nm.shape
+    return scale_fault((nx,), wide_mm) or scale_fault((ny,), high_mm)
+
+
 def _scaled(surface: SurfaceMap) -> SurfaceMap:
-    fault = "" if surface.pitch_mm is None else scale_fault(surface.height_nm.shape, surface.pitch_mm)
+    pixel_mm = surface.pitches_mm or (None if surface.pitch_mm is None else (surface.pitch_mm, surface.pitch_mm))
+    fault = "" if pixel_mm is None else _pixel_fault(surface, *pixel_mm)
     if not fault:
         return surface
     warning = f"its lateral scale is not used: {fault}"
     return replace(
         surface,
         pitch_mm=None,
+        pitches_mm=None,
         warnings=(*surface.warnings, warning),
         unsaid=surface.unsaid | {"pitch"},
         doubts={**surface.doubts, "pitch": warning},

@@ -11,7 +11,7 @@ from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.frames import ArrayOrientation
-from polishd.process.metrology.conditioning import resample_square, scale_fault
+from polishd.process.metrology.conditioning import is_square, resample_square, scale_fault, with_coordinate_unit
 
 ANSWERS = {
     "pitch": "pitch_mm, the width of a pixel on the part",
@@ -21,6 +21,8 @@ ANSWERS = {
     "square pixels": "nothing: its pixels are not square, of a size not known; export the map with its lateral scale",
 }
 """Answers of a profile, and their keys."""
+UNIT = "coordinate_unit_mm, the millimeters in one unit of its coordinates, such as 1"
+"""Answer for the pitch of a list of points."""
 SYSTEM = re.compile(r"(?:Zygo.*, system )?(\d+)")
 SHORT = 2**16
 """Zygo's ``.dat`` keeps the last 16 bits of the system's number; its texts and ``.datx`` keep all."""
@@ -42,6 +44,8 @@ def apply_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly:
         MapError: as `require_profile` does.
     """
     require_profile(surface, instrument, partly=partly)
+    surface = _in_own_unit(surface, instrument)
+    pitch_from = "profile" if "pitch" in _asked(surface) else "file"
     surface = resample_square(surface)
     if instrument is None:
         return surface
@@ -54,7 +58,7 @@ def apply_profile(surface: SurfaceMap, instrument: Instrument | None, *, partly:
     applied = {
         "name": instrument.name, "mirror": instrument.mirror, "rotation_deg": instrument.rotation_deg,
         "sign": instrument.sign, "factor": instrument.factor, "unit_nm": unit, "pitch_mm": pitch,
-        "pitch_from": "profile" if surface.pitch_mm is None or "pitch" in surface.unsaid else "file",
+        "pitch_from": pitch_from,
     }  # fmt: skip
     return replace(
         surface,
@@ -77,6 +81,7 @@ def require_profile(surface: SurfaceMap, instrument: Instrument | None, *, partl
     mean of mixed repeats that is only for viewing (``partly``): its content is undefined.
     """
     name = surface.path.name if surface.path is not None else "the map"
+    surface = _in_own_unit(surface, instrument)
     steps = [] if surface.history is None else list(surface.history.steps)
     by_history = instrument is not None and any("profile" in step.options for step in steps)
     if "profile" in surface.factors or by_history:
@@ -99,7 +104,13 @@ def require_complete(surface: SurfaceMap, instrument: Instrument) -> None:
     unanswered = sorted(_asked(surface) - _answered(instrument))
     if unanswered:
         raise MapError(f"{name}: its file does not say its {_words(unanswered)} and neither does the profile "
-                     f"{instrument.name!r}: give it {_answers(unanswered)}")  # fmt: skip
+                     f"{instrument.name!r}: give it {_answers(surface, unanswered)}")  # fmt: skip
+
+
+def _in_own_unit(surface: SurfaceMap, instrument: Instrument | None) -> SurfaceMap:
+    """The map with its coordinates in the profile's unit, where it gives one and the file does not."""
+    unit_mm = None if instrument is None else instrument.coordinate_unit_mm
+    return surface if unit_mm is None else with_coordinate_unit(surface, unit_mm)
 
 
 def _asked(surface: SurfaceMap) -> frozenset[str]:
@@ -117,7 +128,7 @@ def _all_said(name: str, surface: SurfaceMap) -> None:
     asked = sorted(_asked(surface))
     if asked:
         raise MapError(f"{name}: its file does not say its {_words(asked)}, and there is no instrument's profile: "
-                     f"add an [instrument] that gives {_answers(asked)}")  # fmt: skip
+                     f"add an [instrument] that gives {_answers(surface, asked)}")  # fmt: skip
 
 
 def _of_this_instrument(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
@@ -151,6 +162,12 @@ def _pitch_mm(surface: SurfaceMap, instrument: Instrument) -> float | None:
 
 
 def _require_pitch(name: str, surface: SurfaceMap, instrument: Instrument) -> None:
+    unscaled = surface.unscaled_pitches
+    if unscaled is not None and instrument.pitch_mm is not None and not is_square(*unscaled):
+        raise MapError(
+            f"{name}: its pixels are not square, {unscaled[0]:.6g} x {unscaled[1]:.6g} in the unit of its coordinates, "
+            f"and the profile {instrument.name!r} gives one pitch_mm. Give it {UNIT}"
+        )
     given = surface.pitch_mm if surface.pitches_mm is None else min(surface.pitches_mm)
     own = instrument.pitch_mm
     fault = "" if own is None else scale_fault(surface.height_nm.shape, own)
@@ -170,5 +187,6 @@ def _words(keys: list[str]) -> str:
     return " and ".join(keys)
 
 
-def _answers(keys: list[str]) -> str:
-    return "; ".join(ANSWERS.get(key, f"{key!r} in gives") for key in keys)
+def _answers(surface: SurfaceMap, keys: list[str]) -> str:
+    own = ANSWERS if surface.unscaled_pitches is None else {**ANSWERS, "pitch": UNIT}
+    return "; ".join(own.get(key, f"{key!r} in gives") for key in keys)

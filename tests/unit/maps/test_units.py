@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from polishd.model.errors import MapError
 from polishd.model.instrument import Instrument
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrology.conditioning import resample_square
-from polishd.process.metrology.instrument import apply_profile
+from polishd.process.metrology.instrument import apply_profile, require_profile
 from tests.unit.cli_result import Polishd
 
 POINTS = [(x, y, 10.0 * x + 3.0 * y + x * y) for x in range(6) for y in range(5)]
@@ -104,3 +106,90 @@ def test_a_profile_takes_such_a_map() -> None:
     found = apply_profile(_wave(40, 50, 0.5, 0.65), instrument)
     assert found.pitch_mm == 0.5
     assert any("resampled to 0.5 mm" in words for words in found.warnings)
+
+
+PROFILE = """name = "own"
+gives = ["surface", "orientation"]
+[height]
+unit_nm = 1
+[lateral]
+"""
+
+
+def test_a_profile_with_one_pitch_does_not_squash_a_list_without_units(polishd: Polishd, tmp_path: Path) -> None:
+    path, profile = listed(tmp_path / "a.xyz", "", wide=0.5), tmp_path / "p.toml"
+    profile.write_text(PROFILE + "pitch_mm = 0.5\n")
+    refused = polishd("map", path, "--profile", profile)
+    assert refused.code == 8
+    assert "not square, 0.5 x 1 in the unit of its coordinates" in refused.err
+    assert "coordinate_unit_mm" in refused.err
+    square = listed(tmp_path / "b.xyz", "")
+    assert polishd("map", square, "--profile", profile, "--json").answer["pitch_mm"] == 0.5
+
+
+def test_the_unit_of_a_profile_reads_a_list_as_its_header_would(polishd: Polishd, tmp_path: Path) -> None:
+    bare, headed = listed(tmp_path / "a.xyz", "", wide=0.5), listed(tmp_path / "b.xyz", "# x mm y mm z nm", wide=0.5)
+    profile = tmp_path / "p.toml"
+    profile.write_text(PROFILE + "coordinate_unit_mm = 1.0\npitch_mm = 0.5\n")
+    one, other = (polishd("map", path, "--profile", profile, "--json").answer for path in (bare, headed))
+    assert one["pitch_mm"] == other["pitch_mm"] == 0.5
+    assert one["rms_nm"] == other["rms_nm"]
+    assert one["unsaid"] == []
+    assert any("resampled to 0.5 mm" in words for words in one["warnings"])
+    profile.write_text(PROFILE + "coordinate_unit_mm = 25.4\npitch_mm = 0.5\n")
+    assert "has a pitch of 12.7 mm, the profile 'own' 0.5 mm" in polishd("map", bare, "--profile", profile).err
+    profile.write_text(PROFILE + "coordinate_unit_mm = 1e-6\n")
+    refused = polishd("map", bare, "--profile", profile)
+    assert refused.code == 8
+    assert "less than 1 nm. Check the unit" in refused.err
+
+
+def test_the_refusal_of_a_list_without_units_asks_for_the_unit() -> None:
+    bare = SurfaceMap(np.eye(4), None, unsaid=frozenset({"pitch"}), factors={"pitches_in_its_unit": (0.25, 0.27)})
+    for instrument in (None, Instrument("own")):
+        with pytest.raises(MapError, match="coordinate_unit_mm, the millimeters in one unit"):
+            require_profile(bare, instrument)
+    assert apply_profile(bare, Instrument("own", coordinate_unit_mm=1.0)).pitch_mm == 0.25
+
+
+def test_no_file_is_written_that_loses_the_shape_of_the_pixels(polishd: Polishd, tmp_path: Path) -> None:
+    path = listed(tmp_path / "a.xyz", "", wide=0.5)
+    refused = polishd("map", "convert", path, tmp_path / "a.dat", "--units", "nm")
+    assert refused.code == 8
+    assert "not square" in refused.err
+    assert not (tmp_path / "a.dat").exists()
+
+
+@pytest.mark.parametrize(
+    ("units", "what"),
+    [
+        ("pm,nm", "a sample would be 5e-10 mm wide, less than 1 nm. Check the unit"),
+        ("m,m", "heights"),
+        ("nm,m", "less than 1 nm"),
+    ],
+)
+def test_units_that_no_map_has_are_refused(polishd: Polishd, tmp_path: Path, units: str, what: str) -> None:
+    path = listed(tmp_path / "a.xyz", "", wide=0.5)
+    refused = polishd("map", path, "--units", units)
+    assert refused.code == 8
+    assert re.search(what, refused.err)
+
+
+def test_a_part_of_more_than_20_m_and_steep_heights_in_units_of_the_option(polishd: Polishd, tmp_path: Path) -> None:
+    wide = tmp_path / "wide.xyz"
+    wide.write_text("".join(f"{9 * x} {9 * y} {x + y}\n" for x in range(6) for y in range(5)))
+    refused = polishd("map", wide, "--units", "m,nm")
+    assert refused.code == 8
+    assert "more than 20 m. Check the unit" in refused.err
+    steep = polishd("map", wide, "--units", "um,mm", "--json").answer
+    assert any("check the unit of heights" in words for words in steep["warnings"])
+
+
+def test_a_header_with_such_units_loses_its_scale_also_where_pixels_are_not_square(
+    polishd: Polishd, tmp_path: Path
+) -> None:
+    path = listed(tmp_path / "a.csv", "x_pm,y_pm,z_nm", ",", wide=0.5)
+    answer = polishd("map", path, "--json").answer
+    assert (answer["pitch_mm"], answer["pitches_mm"]) == (None, None)
+    assert "pitch" in answer["unsaid"]
+    assert any("its lateral scale is not used" in words for words in answer["warnings"])

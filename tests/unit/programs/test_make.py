@@ -18,7 +18,7 @@ from typer.testing import CliRunner, Result
 from polishd.cli.program import make
 from polishd.config.cell import load_config
 from polishd.config.cell_sections import InstrumentSection
-from polishd.model.errors import ComputeError, ConfigError, PolishdError, ProgramError
+from polishd.model.errors import ComputeError, ConfigError, MapError, PolishdError, ProgramError
 from polishd.model.outline import hexagon, polygon
 from polishd.model.process import FLAT, Optic
 from polishd.model.program import Program
@@ -490,6 +490,37 @@ def test_an_adaptive_raster_follows_a_map(tmp_path: Path) -> None:
     )  # fmt: skip
     x = program.end_mm[np.hypot(*program.end_mm.T[:2]) < 14, 0]
     assert np.count_nonzero(x > 5) > 1.2 * np.count_nonzero(x < -5)
+
+
+def test_a_map_without_a_lateral_scale_is_refused(tmp_path: Path) -> None:
+    map_file = tmp_path / "part.dat"
+    map_file.write_bytes(pack(DatMap(np.full((80, 80), 10.0), 0.0)))
+    for words in (
+        ("raster", "--aperture", f"mask:{map_file}"), ("adaptive", "--aperture", "circle:30", "--removal", map_file),
+    ):  # fmt: skip
+        error, files = refused(tmp_path, *words)
+        assert isinstance(error, MapError)
+        assert "has no lateral scale. Give --cell" in str(error)
+        assert files == ["part.dat"]
+
+
+def test_a_map_whose_pixels_are_not_square_is_resampled(tmp_path: Path) -> None:
+    points = [(0.5 * x, y, x + 1) for x in range(61) for y in range(21)]
+    map_file = tmp_path / "part.csv"
+    map_file.write_text("x_mm,y_mm,z_nm\n" + "".join(f"{x:g},{y:g},{z:g}\n" for x, y, z in points))
+    _, program = made(tmp_path, "raster", "--aperture", f"mask:{map_file}")
+    half = np.abs(program.end_mm[:, :2]).max(axis=0)
+    assert half[1] == pytest.approx(11, abs=1)
+    made(tmp_path, "adaptive", "--aperture", "rectangle:30,20", "--removal", map_file)
+
+
+def test_a_map_smaller_than_the_aperture_is_no_removal_of_it(tmp_path: Path) -> None:
+    map_file = tmp_path / "part.dat"
+    map_file.write_bytes(pack(DatMap(np.arange(6400.0).reshape(80, 80), 0.5)))
+    for shape in ("adaptive", "random"):
+        error, _ = refused(tmp_path, shape, "--aperture", "circle:60", "--removal", map_file)
+        assert isinstance(error, MapError)
+        assert "the map is 40 x 40 mm, smaller than the aperture of 60 x 60 mm" in str(error)
 
 
 @pytest.mark.parametrize(

@@ -169,6 +169,11 @@ def test_a_map_full_of_holes(desk: Desk) -> None:
     desk.refused(MapError, "aperture")
 
 
+def test_a_map_whose_heights_are_all_equal_is_refused_as_by_a_cell(desk: Desk) -> None:
+    desk.surface = desk.surface.with_height(np.where(desk.surface.valid, 25.0, np.nan))
+    desk.refused(MapError, "all its heights are equal: nothing was measured")
+
+
 def test_another_parts_map(desk: Desk) -> None:
     desk.surface = replace(desk.surface, part_id="P-2")
     desk.refused(WrongPart, r"shows part 'P-2', not 'P-1' \(part\.id\)")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from polishd.api import MapError, SurfaceMap
 from polishd.model.surface import DateFrom, FloatArray
-from polishd.process.metrology.conditioning import EARLIEST
+from polishd.process.metrology.conditioning import EARLIEST, is_square, not_square_warning
 from polishd.util.extras import missing_message
 
 MOST_BYTES = 2**30
@@ -57,7 +57,11 @@ def require_data(path: Path, height_nm: FloatArray) -> FloatArray:
     if height_nm.ndim != 2 or not height_nm.size:
         raise MapError(f"{path}: holds an array of shape {height_nm.shape}, not rows and columns")
     if np.isinf(height_nm).any():
-        raise MapError(f"{path}: {np.count_nonzero(np.isinf(height_nm))} samples are infinite")
+        infinite = np.argwhere(np.isinf(height_nm))
+        raise MapError(
+            f"{path}: an infinite height in row {infinite[0][0]}, column {infinite[0][1]}, {len(infinite)} in all. "
+            "Mark missing data as the format does, and export the map again"
+        )
     if np.isnan(height_nm).all():
         raise MapError(f"{path}: no sample holds data")
     return height_nm
@@ -105,6 +109,11 @@ def require_size(path: Path, rows: int, columns: int, most: float = MOST_SAMPLES
 def require_stated(surface: SurfaceMap, *also: str) -> None:
     """MapError where a written file would state an unknown value; ``also`` names values that the format can omit."""
     open_ones = sorted(surface.unsaid - set(also))
+    if surface.unscaled_pitches is not None and not is_square(*surface.unscaled_pitches):
+        raise MapError(
+            f"{surface.path}: its pixels are not square, and the file to be written has no place for that without a "
+            "scale. Give the unit of its coordinates (--units, or coordinate_unit_mm in the profile)"
+        )
     if "square pixels" in open_ones:
         raise MapError(
             f"{surface.path}: its pixels are not square, and those of the file to be written would be: resample it"
@@ -176,8 +185,6 @@ NM_PER = {
     )
     for name in names.split()
 }
-SQUARE_WITHIN = 1e-3
-"""Relative difference of the pitches in x and y that still counts as square pixels."""
 MOST_NM = 1e9
 """A metre: a larger value is in another unit, or is an undeclared marker of missing data."""
 MARKERS = {9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 2147483647.0, 2147483648.0}
@@ -205,8 +212,6 @@ class HeightUnit(NamedTuple):
 
 SAID = HeightUnit(1.0)
 """Unit of heights whose format or file states it."""
-IN_UNITS = "pitches_in_its_unit"
-"""Key in a map's ``factors``: pitches in x and y in a lateral unit that the file does not state."""
 NO_PITCH = Pitch(None, {"pitch": "the file gives no lateral scale"})
 
 
@@ -238,9 +243,8 @@ def pitch(path: Path, x_mm: float, y_mm: float) -> Pitch:
     for axis, value in (("x", x_mm), ("y", y_mm)):
         if not (math.isfinite(value) and value > 0):
             raise MapError(f"{path}: the pitch in {axis} is {value:g} mm, no length")
-    if abs(x_mm - y_mm) > SQUARE_WITHIN * max(x_mm, y_mm):
-        warning = f"pixels are {x_mm:.6g} mm wide and {y_mm:.6g} mm high: not square; a cell resamples the map"
-        return Pitch(None, {"square pixels": warning}, (x_mm, y_mm))
+    if not is_square(x_mm, y_mm):
+        return Pitch(None, {"square pixels": not_square_warning(x_mm, y_mm)}, (x_mm, y_mm))
     return Pitch(x_mm / 2 + y_mm / 2)
 
 

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polishd.api import MapError, SurfaceMap
-from polishd.model.surface import FloatArray
+from polishd.model.surface import IN_UNITS, FloatArray
 from polishd.plugins.interferometer.formats.common import (
-    IN_UNITS,
     NO_PITCH,
     Pitch,
     checked,
@@ -35,6 +34,7 @@ from polishd.plugins.interferometer.formats.format import Format
 SAME_WITHIN = 1e-4
 """Coordinates closer than this part of the mean spacing are one row or column: rounding, not a step."""
 OFF_GRID_PX = 0.1
+AGAIN = "Export the map on the instrument's own pixels"
 CELLS_PER_POINT = 4
 """A grid of more places than so many per point is no measured map (and would be allocated)."""
 ORIENTATION = "by the file's own coordinates: row 0 is the largest y, column 0 the smallest x"
@@ -52,28 +52,44 @@ def grid_points(path: Path, x: FloatArray, y: FloatArray, z: FloatArray, *, in_l
     """Put (n,) points on the grid that x and y span; places without a point are NaN.
 
     MapError where the coordinates are not finite, lie more than 0.1 pixel off any regular grid, fall on one another, or
-    leave most of the grid empty. ``in_lines``: and where the list stops short in the last of its rows or columns.
+    leave most of the grid empty. ``in_lines``: the file lists them one a line, and errors name the line; also refused
+    is a list that stops short in the last of its rows or columns.
     """
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise MapError(f"{path}: some points have no coordinates")
+    known = np.isfinite(x) & np.isfinite(y)
+    if not known.all():
+        where = _where(path, int(np.argmin(known)), in_lines=in_lines)
+        raise MapError(f"{where}: a point has no coordinates, {np.count_nonzero(~known)} in all. {AGAIN}")
     if x.size < 4 or not (np.ptp(x) > 0 and np.ptp(y) > 0):
-        raise MapError(f"{path}: its {x.size} points make no grid of at least two rows and columns")
+        raise MapError(f"{path}: its {x.size} points make no grid of at least two rows and columns. {AGAIN}")
     spacing = float(np.sqrt(np.ptp(x) / x.size) * np.sqrt(np.ptp(y)))
-    columns, pitch_x = _places(path, "x", x, spacing)
-    rows, pitch_y = _places(path, "y", y, spacing)
+    columns, pitch_x = _places(path, "x", x, spacing, in_lines=in_lines)
+    rows, pitch_y = _places(path, "y", y, spacing, in_lines=in_lines)
     ny, nx = int(rows.max()) + 1, int(columns.max()) + 1
     if ny * nx > CELLS_PER_POINT * x.size + 64:
-        raise MapError(f"{path}: {x.size} points for {ny} x {nx} places: not on a regular grid")
+        raise MapError(f"{path}: {x.size} points for {ny} x {nx} places: not on a regular grid. {AGAIN}")
     require_size(path, ny, nx)
     place = (ny - 1 - rows) * nx + columns
     counts = np.bincount(place, minlength=ny * nx)
     if counts.max() > 1:
-        raise MapError(f"{path}: {int((counts > 1).sum())} places have more than one point: not one map")
+        again = int(np.flatnonzero(place == np.argmax(counts > 1))[1])
+        raise MapError(
+            f"{_where(path, again, in_lines=in_lines)}: a point lies on an earlier one, at {int((counts > 1).sum())} "
+            "places in all: not one map. Export each map to its own file"
+        )
     if in_lines:
         _require_end(path, np.argwhere(counts.reshape(ny, nx) == 0), divmod(int(place[-1]), nx))
     grid = np.full(ny * nx, np.nan)
     grid[place] = z
     return GridResult(grid.reshape(ny, nx), pitch_x, pitch_y)
+
+
+def _where(path: Path, point: int, *, in_lines: bool) -> str:
+    """The file, and the line of a point of it (from 0), where it lists one a line. It reads the file again."""
+    if not in_lines:
+        return str(path)
+    _, first_line, body = _split(path, content_of(path))
+    lines = COMMENT.sub(b"", body).splitlines()
+    return f"{path}:{[number for number, line in enumerate(lines, first_line) if line.strip()][point]}"
 
 
 def _require_end(path: Path, empty: NDArray[np.int64], last: tuple[int, int]) -> None:
@@ -83,25 +99,31 @@ def _require_end(path: Path, empty: NDArray[np.int64], last: tuple[int, int]) ->
             raise MapError(f"{path}: its last {name} lacks {len(empty)} points: torn, or still being written")
 
 
-def _places(path: Path, axis: str, values: FloatArray, spacing: float) -> tuple[NDArray[np.int64], float]:
+def _places(
+    path: Path, axis: str, values: FloatArray, spacing: float, *, in_lines: bool
+) -> tuple[NDArray[np.int64], float]:
     """Index of each value on the axis, (n,), and the axis' pitch."""
     order = np.argsort(values, kind="stable")
     gaps = np.diff(values[order])
     new = gaps > SAME_WITHIN * spacing
     steps = gaps[new]
     if not steps.size:
-        raise MapError(f"{path}: all points have nearly the same {axis}: no grid")
+        raise MapError(f"{path}: all points have nearly the same {axis}: no grid. {AGAIN}")
     with np.errstate(over="ignore"):  # what is infinite is no grid
         index = np.concatenate([[0.0], np.cumsum(np.round(steps / np.median(steps[steps < 1.5 * steps.min()])))])
     levels = values[order][np.concatenate([[True], new])]
     if index[-1] > CELLS_PER_POINT * values.size or (np.diff(index) < 1).any():
-        raise MapError(f"{path}: {axis} is not evenly spaced: not on a regular grid")
+        raise MapError(f"{path}: {axis} is not evenly spaced: not on a regular grid. {AGAIN}")
     pitch = float((levels[-1] - levels[0]) / index[-1])
     place = (values - levels[0]) / pitch
     nearest = np.round(place)
-    worst = float(np.abs(place - nearest).max())
-    if worst > OFF_GRID_PX:
-        raise MapError(f"{path}: {axis} lies up to {worst:.2f} pixel off a regular grid of {pitch:.6g}")
+    off = np.abs(place - nearest)
+    if (worst := float(off.max())) > OFF_GRID_PX:
+        where = _where(path, int(off.argmax()), in_lines=in_lines)
+        raise MapError(
+            f"{where}: {axis} lies {worst:.2f} pixel off a regular grid of {pitch:.6g} (in the unit of {axis}), and "
+            f"{OFF_GRID_PX:g} is allowed. {AGAIN}"
+        )
     return nearest.astype(np.int64), pitch
 
 
@@ -160,6 +182,9 @@ def read(path: Path) -> SurfaceMap:
     del content
     table = _table(path, body, first_line)[:, header.order]
     del body
+    if (infinite := np.isinf(table[:, 2])).any():
+        where = _where(path, int(infinite.argmax()), in_lines=True)
+        raise MapError(f"{where}: an infinite height, {np.count_nonzero(infinite)} in all. Write nan for missing data")
     found = grid_points(path, table[:, 0], -table[:, 1] if header.from_top else table[:, 1], table[:, 2], in_lines=True)
     lateral = _pitch(path, header, found)
     height = height_unit(header.units[2])

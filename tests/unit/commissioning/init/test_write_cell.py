@@ -265,16 +265,44 @@ def test_a_sample_without_units_needs_an_answer_and_says_which(tmp_path: Path) -
     assert not (tmp_path / "cell").exists()
 
 
+@pytest.mark.parametrize(
+    ("units", "what"),
+    [
+        ("um,um", r"instrument\.sample_units: points\.xyz is then 0\.041 mm wide, and the part 20 mm"),
+        ("in,um", "is then 1041 mm wide"),
+        ("pm,um", "less than 1 nm"),
+    ],
+)
+def test_the_size_of_a_sample_in_the_answered_units_must_fit_the_part(tmp_path: Path, units: str, what: str) -> None:
+    (tmp_path / "points.xyz").write_text(POINTS + "\n")
+    with pytest.raises(ConfigError, match=what):
+        init(tmp_path, LENS + f'[instrument]\nsample = "points.xyz"\nsample_units = "{units}"\n')
+    assert not (tmp_path / "cell").exists()
+
+
 @pytest.mark.full
 def test_with_the_answer_the_profile_says_what_the_files_do_not(tmp_path: Path) -> None:
     (tmp_path / "points.xyz").write_text(POINTS + "\n")
     init(tmp_path, SAMPLED + 'sample_units = "mm,um"\n')
     instrument = load_profile(tmp_path / "cell" / "instrument.toml").instrument
     assert (instrument.pitch_mm, instrument.unit_nm) == (1.0, 1e3)
+    assert instrument.coordinate_unit_mm == 1.0
     assert load_config(tmp_path / "cell" / "cell.toml").part.aperture_mm == 41
     surface = MapSource.of(None, tmp_path / "cell" / "instrument.toml").read(tmp_path / "points.xyz")
     assert surface.pitch_mm == 1.0
     assert np.nanmax(surface.height_nm) == pytest.approx(1e3 * np.hypot(0.2, 0.1) * 20, rel=0.02)
+
+
+@pytest.mark.full
+def test_the_profile_of_a_sample_that_is_not_square_reads_it_again(tmp_path: Path) -> None:
+    lines = [line.split() for line in POINTS.splitlines()]
+    (tmp_path / "points.xyz").write_text("".join(f"{x} {1.08 * float(y):g} {z}\n" for x, y, z in lines))
+    init(tmp_path, SAMPLED + 'sample_units = "mm,um"\n')
+    profile = tmp_path / "cell" / "instrument.toml"
+    assert load_profile(profile).instrument.coordinate_unit_mm == 1.0
+    surface = MapSource.of(None, profile, partly=False).read(tmp_path / "points.xyz")
+    assert surface.pitch_mm == 1.0
+    assert surface.height_nm.shape == (44, 41)
 
 
 @pytest.mark.full
@@ -283,6 +311,8 @@ def test_a_map_without_a_scale_is_given_a_pitch(tmp_path: Path) -> None:
     answers = SAMPLED.replace("points.xyz", "bare.dat")
     with pytest.raises(ConfigError, match=r"Give instrument\.sample_pitch_mm, as sample_pitch_mm = 0\.1"):
         init(tmp_path, answers)
+    with pytest.raises(ConfigError, match="less than 1 nm"):
+        init(tmp_path, answers + "sample_pitch_mm = 1e-9\n")
     init(tmp_path, answers + "sample_pitch_mm = 0.5\n")
     assert load_profile(tmp_path / "cell" / "instrument.toml").instrument.pitch_mm == 0.5
 

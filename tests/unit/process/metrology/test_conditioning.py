@@ -189,7 +189,7 @@ def test_refusals() -> None:
         conditioned(SurfaceMap(surface.height_nm, None, path=Path("a.dat")))
     with pytest.raises(MapError, match=r"a\.dat holds no data"):
         conditioned(surface.with_height(np.full(FINE.shape, np.nan)))
-    with pytest.raises(MapError, match="the map is 60 mm wide, the aperture 70 mm"):
+    with pytest.raises(MapError, match=r"the map is 60 mm wide, the aperture 70 mm\. .*check the map's units"):
         conditioned(SurfaceMap(surface.height_nm, 0.25), outline=Circle(35.0))
     with pytest.raises(MapError, match="fewer than 100"):
         conditioned(surface, grid_mm=5.0)

@@ -208,6 +208,24 @@ def test_infinite_heights_are_refused(tmp_path: Path) -> None:
         points.read(put(tmp_path, points_file(missing="inf")))
 
 
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("1 1 inf", "an infinite height, 1 in all. Write nan"),
+        ("1 0 5", "a point lies on an earlier one, at 1 places in all: not one map. Export each map"),
+        ("1.4 1 5", "x lies 0.20 pixel off a regular grid of 0.333333 (in the unit of x), and 0.1 is allowed. Export"),
+        ("nan 1 5", "a point has no coordinates, 1 in all. Export the map"),
+    ],
+)
+def test_a_point_that_is_refused_is_named_by_its_line(tmp_path: Path, line: str, what: str) -> None:
+    lines = [f"{x} {y} {x + y}" for y in range(3) for x in range(6)]
+    lines[7] = line
+    path = tmp_path / "a.xyz"
+    path.write_text("\n".join(["# x mm y mm z nm", *lines[:3], "# a pause", "", *lines[3:]]) + "\n")
+    with pytest.raises(MapError, match=re.escape(f"{path}:11: {what}")):
+        points.read(path)
+
+
 def test_only_text_with_points_is_claimed() -> None:
     assert points.sniff(b"title\n1.5;2;3\n", Path("a.txt"))
     assert not points.sniff(b"title\nno numbers\n", Path("a.txt"))
