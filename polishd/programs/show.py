@@ -28,6 +28,7 @@ from polishd.plugins.rnc_robot.dialect import (
     require_language,
 )
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
+from polishd.plugins.rnc_robot.formats import require_one_reading
 from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, scan_program
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
@@ -55,11 +56,15 @@ def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
         ConfigError: there is no such dialect.
     """
     if _is_pipe(file):  # read only once
-        return dialect_named(dialect or DEFAULT), "--dialect" if dialect else "assumed: not a regular file"
+        if dialect is None:
+            raise ProgramError(f"{file}: a pipe is read once, so its dialect is not detected. To do: give --dialect.")
+        return dialect_named(dialect), "--dialect"
     with opened(file) as source:
         head = source.read(HEAD_BYTES)
     if dialect is None:
         found = detect(head, file.name)
+        if found.dialect == DEFAULT:
+            require_one_reading(head, file.name)
         return dialect_named(found.dialect), found.why
     profile = dialect_named(dialect)
     require_language(profile, head, file.name)
