@@ -24,7 +24,7 @@ from polishd.plugins.rnc_robot.formats import beside_of, read, rewrite
 from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream, scan_program
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
-from polishd.util.files import open_input, read_all, whole_file
+from polishd.util.files import open_input, read_all, require_new_file, whole_file
 
 # A CSV of dwells: one number in seconds a row, no header, one row a point.
 
@@ -160,23 +160,28 @@ def rewrite_file(
     encoding: Encoding | None = None,
     *,
     comment: bool = False,
+    force: bool = True,
     progress: Progress | None = None,
 ) -> RewriteResult:
     """Write the program in ``file`` to ``out`` with the times of ``table``.
 
     NC text whose encoding stays goes through in bounded memory and is read back before it gets its name. Everything
     else is held in memory and proved to move as before. Where the controller limits the lines of a program, ``out``
-    is the first of several files: ``out_2``, ``out_3``, ...
+    is the first of several files: ``out_2``, ``out_3``, ... ``force``: replace existing files.
 
     Raises:
+        ConfigError: An output exists, without ``force``.
         ProgramError: Anything is wrong with program, table or output. Nothing was written.
     """
     sources = (file, table.path)
     require_new_target(out, *sources)
+    require_new_file(out, force=force)
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
-    return _held(read_program_file(dialect, file), table, out, dialect, encoding, mark=mark, sources=sources)
+    return _held(
+        read_program_file(dialect, file), table, out, dialect, encoding, mark=mark, sources=sources, force=force
+    )
 
 
 def require_new_target(out: Path, *sources: Path) -> None:
@@ -229,6 +234,7 @@ def _held(
     *,
     mark: bytes,
     sources: Sequence[Path],
+    force: bool,
 ) -> RewriteResult:
     times = table.take(program.n)
     table.finish()
@@ -240,6 +246,7 @@ def _held(
     outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
     for path in outs:
         require_new_target(path, *sources)
+        require_new_file(path, force=force)
     with ExitStack() as stack:  # all files are on the disk before the first gets its name
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)

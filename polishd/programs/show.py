@@ -153,12 +153,20 @@ ENCODINGS: dict[Encoding, str] = {
 
 
 def rewrite_verb(
-    file: Path, dwell: Path, out: Path, dialect: str | None, encoding: Encoding | None, *, comment: bool, as_json: bool
+    file: Path,
+    dwell: Path,
+    out: Path,
+    dialect: str | None,
+    encoding: Encoding | None,
+    *,
+    comment: bool,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Write the program with other times; write nothing where anything is wrong."""
     (profile, why), table = chosen(file, dialect), DwellTable(dwell)
     with _naming_the_assumption(profile, why), _bar("rewriting", file) as progress:
-        written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
+        written = rewrite_file(file, table, out, profile, encoding, comment=comment, force=force, progress=progress)
     answer = {**asdict(written), "out": [str(path) for path in written.out], "dialect": profile.name, "dialect_by": why}
     rows = [
         ("dialect", f"{profile.name} ({why})"),

@@ -168,7 +168,7 @@ def test_a_table_of_zeros_is_written_with_a_warning(polishd: Polishd, program: P
         "program", "rewrite", program, "--dwell", table(tmp_path / "d.csv", 0, 0, 0), "--out", tmp_path / "n"
     )
     assert "all 3 rows are 0 s: the new program removes nothing" in said.out
-    again = polishd("program", "rewrite", program, "--dwell", tmp_path / "d.csv", "--out", tmp_path / "n", "--json")
+    again = polishd("program", "rewrite", program, "--dwell", tmp_path / "d.csv", "--out", tmp_path / "m", "--json")
     assert len(again.answer["warnings"]) == 1
 
 
@@ -247,10 +247,24 @@ def test_an_old_output_survives_a_full_disk(
 
     monkeypatch.setattr(os, "fsync", full)
     rows = table(tmp_path / "d.csv", 1, 2, 3)
-    said = polishd("program", "rewrite", program, "--dwell", rows, "--out", out)
+    said = polishd("program", "rewrite", program, "--dwell", rows, "--out", out, "--force")
     assert (said.code, "No space left on device" in said.err) == (9, True)
     assert out.read_bytes() == b"old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.csv", "new.rnc", "p.rnc"]
+
+
+@pytest.mark.parametrize("encoding", [(), ("--encoding", "inverse")], ids=["streamed", "held"])
+def test_an_existing_file_is_replaced_only_with_force(
+    polishd: Polishd, program: Path, tmp_path: Path, encoding: tuple[str, ...]
+) -> None:
+    out = tmp_path / "new.rnc"
+    out.write_bytes(b"old")
+    words = ("rewrite", program, "--dwell", table(tmp_path / "d.csv", 1, 2, 3), "--out", out, *encoding)
+    said = polishd("program", *words, "--json")
+    assert (said.failure, out.read_bytes()) == (3, b"old")
+    assert f"{out}: exists already; name another file, or say --force" in said.err
+    assert polishd("program", *words, "--force").code == 0
+    assert out.read_bytes() != b"old"
 
 
 def test_verify_proves(polishd: Polishd, program: Path, tmp_path: Path) -> None:
