@@ -213,15 +213,18 @@ def _verify_table(found: Verification, title: str) -> Any:
     before, after = found.range_before_s, found.range_after_s
     rows = [
         ("motion", "identical" if found.identical_motion else "NOT proved identical"),
-        (
-            "points",
-            f"{found.points}, the time of {found.changed_points} changed, by {found.largest_change_s:.6g} s at most",
-        ),
+        ("points", f"{found.points}, {_changed_words(found)}"),
         ("before", f"{found.time_before_s:.6g} s, a point {before[0]:.6g} to {before[1]:.6g} s"),
         ("after", f"{found.time_after_s:.6g} s, a point {after[0]:.6g} to {after[1]:.6g} s"),
         *(("proved by", words) for words in found.proved_by),
     ]
     return key_table(title, rows)
+
+
+def _changed_words(found: Verification) -> str:
+    if found.changed_points is None or found.largest_change_s is None:
+        return "times not compared"
+    return f"the time of {found.changed_points} changed, by {found.largest_change_s:.6g} s at most"
 
 
 def _say_notes(what: str, notes: list[str] | tuple[str, ...]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -303,11 +304,14 @@ def test_verify_says_where_motion_differs_and_exits_9(polishd: Polishd, program:
     said = polishd("program", "verify", program, new)
     assert said.code == 9
     assert "NOT proved identical" in said.out
+    assert "3, times not compared" in said.out
     assert 'also changed: line 11 "M2" became line 11 "M30"' in said.out
     assert 'new.rnc: not proved to move as p.rnc does: line 6 "G1 X3\\r" became line 6 "G1 X3.01\\r"' in said.err
     said = polishd("program", "verify", program, new, "--json")
     assert said.code == 9
     assert '"identical_motion": false' in said.out
+    found = json.loads(said.out)
+    assert (found["changed_points"], found["largest_change_s"]) == (None, None)
     assert said.err.count("\n") == 1
 
 
