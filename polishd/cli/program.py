@@ -45,7 +45,12 @@ def rewrite(
     *,
     file: File,
     dwell: Annotated[
-        Path, Option(metavar="CSV", help="Dwell of each point in seconds, one per row, no header", readable=False)
+        Path,
+        Option(
+            metavar="CSV",
+            help="Dwell of each point in seconds, one per row, no header; or a plan's dwell.csv",
+            readable=False,
+        ),
     ],
     out: Annotated[Path, Option(metavar="FILE", help="The new program; not the same file")],
     dialect: Dialect = None,

@@ -26,10 +26,12 @@ from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
 from polishd.util.files import open_input, read_all, require_new_file, whole_file
 
-# A CSV of dwells: one number in seconds a row, no header, one row a point.
+# A CSV of dwells: one number in seconds a row, no header, one row a point; or the dwell.csv of a plan.
 
 _PIECE = 1 << 20
 """Bytes read at a time, so that a table of any length needs no more memory."""
+COLUMN = b"dwell_s"
+"""Header of the dwells in a table of several columns."""
 _PLAIN = b"0123456789+-.eE \t\r\n"
 
 
@@ -76,6 +78,8 @@ _COUNT = "To do: write one row a point; polishd program inspect counts them."
 def dwell_rows(path: Path) -> Iterator[FloatArray]:
     """Read the rows of a table of dwells, s, as arrays of (k,), in order. Lines end in LF or CRLF.
 
+    Of several columns that a header names, as in the ``dwell.csv`` of a plan, ``COLUMN`` is read. The header is no row.
+
     Raises:
         ProgramError: The file cannot be read, or a row is not one number of seconds, 0 to ``LONGEST_S``; names the row.
     """
@@ -85,7 +89,11 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
             rows = file.readlines(_PIECE)
             if rows:
                 rows[0] = rows[0].removeprefix(b"\xef\xbb\xbf")
+            column = _column(rows[0]) if rows else None
+            if column is not None:
+                rows = rows[1:] or file.readlines(_PIECE)
             while rows:
+                rows = rows if column is None else [_field(row, column) for row in rows]
                 yield _values(path, rows, done)
                 done += len(rows)
                 rows = file.readlines(_PIECE)
@@ -93,6 +101,16 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
         raise ProgramError(f"{path}: cannot be read: {error.strerror}. To do: check the path of the dwells.") from error
     if not done:
         raise ProgramError(f"{path}: the table of dwells is empty. To do: write one dwell in seconds a row.")
+
+
+def _column(first: bytes) -> int | None:
+    """Index of ``COLUMN`` in a header of several columns; None: the row is no such header."""
+    names = [name.strip() for name in first.split(b",")]
+    return names.index(COLUMN) if len(names) > 1 and COLUMN in names else None
+
+
+def _field(row: bytes, column: int) -> bytes:
+    return b"".join(row.split(b",")[column : column + 1])
 
 
 def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
@@ -106,7 +124,8 @@ def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
         if reason is not None:
             shown = row.decode("utf-8", "backslashreplace").strip()[:60]
             raise ProgramError(
-                f'{path}, row {number} {reason}: "{shown}". To do: write one dwell in seconds a row, and no header.'
+                f'{path}, row {number} {reason}: "{shown}". To do: write one dwell in seconds a row, and no header; '
+                "or give the dwell.csv of a plan."
             )
     raise ProgramError(f"{path}: cannot be read as numbers from row {before + 1} on.")
 
