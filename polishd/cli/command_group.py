@@ -108,6 +108,8 @@ def _prepare(command: Any) -> None:
     for param in command.params:
         param.shell_complete = partial(complete, param)
         param.process_value = partial(_process_value, param)
+        if (descriptor := getattr(param, "type_descriptor", None)) is not None:
+            descriptor.parameter_info.readable = False  # the command refuses such a file as a missing one, with JSON
     command.format_help = partial(_format_help, command)
     for below in getattr(command, "commands", {}).values():
         _prepare(below)

@@ -9,7 +9,7 @@ import typer
 from typer import Argument, Option
 
 from polishd.cli.command_group import CommandGroup
-from polishd.programs.options import EncodingOption, MakeOptions
+from polishd.programs.options import EncodingOption, ForceOption, MakeOptions
 from polishd.util.command_line import Json, spread_options
 
 app = typer.Typer(
@@ -45,7 +45,12 @@ def rewrite(
     *,
     file: File,
     dwell: Annotated[
-        Path, Option(metavar="CSV", help="Dwell of each point in seconds, one per row, no header", readable=False)
+        Path,
+        Option(
+            metavar="CSV",
+            help="Dwell of each point in seconds, one per row, no header; or a plan's dwell.csv",
+            readable=False,
+        ),
     ],
     out: Annotated[Path, Option(metavar="FILE", help="The new program; not the same file")],
     dialect: Dialect = None,
@@ -54,14 +59,14 @@ def rewrite(
         Option(help="Encoding of the time: the speed or the time of each move, or a wait (default: as in the program)"),
     ] = None,
     comment: Annotated[bool, Option("--comment", help="Add a comment on the change in the first line")] = False,
+    force: ForceOption = False,
     as_json: Json = False,
 ) -> None:
     """Rewrite the dwells of a program. Only the numbers of times change, and no other byte."""
     from polishd.programs.show import rewrite_verb
 
-    rewrite_verb(
-        file, dwell, out, dialect, "dwell" if encoding == "wait" else encoding, comment=comment, as_json=as_json
-    )
+    written = "dwell" if encoding == "wait" else encoding
+    rewrite_verb(file, dwell, out, dialect, written, comment=comment, force=force, as_json=as_json)
 
 
 @app.command()

@@ -16,7 +16,7 @@ from polishd.model.errors import ConfigError, MapError, SurfaceError
 from polishd.model.surface import SurfaceMap
 from polishd.process.metrology.instrument import same_system
 from polishd.rendering.terminal import emit
-from polishd.util.files import require_writable_file, write_atomic
+from polishd.util.files import require_new_file, require_writable_file, write_atomic
 
 WITHIN_NM = 0.01
 """Largest change of a height by the rounding of a format ..."""
@@ -47,8 +47,7 @@ def require_target(target: Path, files: Sequence[Path], source: MapSource, *, fo
     _writer(target, source)
     if target.exists() and any(file.exists() and target.samefile(file) for file in files):
         raise ConfigError(f"{target}: is the map that is read; name another file")
-    if target.exists() and not force:
-        raise ConfigError(f"{target}: exists already; name another file, or say --force")
+    require_new_file(target, force=force)
     require_writable_file(target)
 
 

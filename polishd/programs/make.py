@@ -42,6 +42,7 @@ from polishd.programs.rewrite import require_new_target, target_file
 from polishd.programs.show import path_picture
 from polishd.rendering.plots import save_picture
 from polishd.rendering.terminal import emit, key_table, stderr
+from polishd.util.files import require_new_file
 
 SHAPES: dict[str, tuple[int, Callable[..., Aperture]]] = {
     "circle": (1, apertures.circle),
@@ -90,6 +91,7 @@ class GeneratedProgram:
 
 def make_verb(options: MakeOptions, *, as_json: bool) -> None:
     """Make the path, write the program, and describe it; write nothing where anything is refused."""
+    _require_target(options)
     config, hooks = (None, None) if options.cell is None else load_cell(options.cell)
     with stderr.status("making the path"):
         program = make_program(options, config, hooks)
@@ -200,13 +202,18 @@ def _encoding(options: MakeOptions) -> Encoding:
     return encoding or ("feed" if options.dwell_s is None else "dwell")
 
 
-def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
+def _require_target(options: MakeOptions) -> None:
+    """ProgramError or ConfigError where the program or its picture may not be written."""
     kind, _, rest = (options.aperture or "").partition(":")
     aperture = rest if kind in ("mask", "polygon") else ""
     sources = (options.cell, aperture, options.removal)
     require_new_target(options.out, *(Path(read_from) for read_from in sources if read_from))
     if options.picture is not None and options.picture.absolute() == options.out.absolute():
         raise ConfigError(f"{options.out}: is named by --out and --picture; name two files")
+    require_new_file(options.out, force=options.force)
+
+
+def _write(options: MakeOptions, made: GeneratedPath, text: bytes) -> None:
     with target_file(options.out) as file:  # it gets its name when the picture is written
         file.write(text)
         if options.picture is not None:

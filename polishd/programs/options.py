@@ -10,6 +10,7 @@ from typer import Argument, Option
 
 EncodingOption = Literal["feed", "inverse", "dwell", "time", "wait"]
 """As model.program has it, which would import numpy; ``wait`` is another name of ``dwell``."""
+ForceOption = Annotated[bool, Option("--force", help="Overwrite existing files")]
 PathShape = Literal["raster", "spiral", "concentric", "random", "adaptive"]
 
 
@@ -118,3 +119,4 @@ class MakeOptions:
         str | None, Option(metavar="NAME|D.toml", help="Dialect of the program (default: the cell's, or rs274)")
     ] = None
     picture: Annotated[Path | None, Option(metavar="PNG", help="Draw a picture, too")] = None
+    force: ForceOption = False

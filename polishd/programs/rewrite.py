@@ -24,12 +24,14 @@ from polishd.plugins.rnc_robot.formats import beside_of, read, rewrite
 from polishd.plugins.rnc_robot.gcode.rewrite import rewrite_stream, scan_program
 from polishd.plugins.rnc_robot.languages import split
 from polishd.plugins.rnc_robot.verify import verify
-from polishd.util.files import open_input, read_all, whole_file
+from polishd.util.files import open_input, read_all, require_new_file, whole_file
 
-# A CSV of dwells: one number in seconds a row, no header, one row a point.
+# A CSV of dwells: one number in seconds a row, no header, one row a point; or the dwell.csv of a plan.
 
 _PIECE = 1 << 20
 """Bytes read at a time, so that a table of any length needs no more memory."""
+COLUMN = b"dwell_s"
+"""Header of the dwells in a table of several columns."""
 _PLAIN = b"0123456789+-.eE \t\r\n"
 
 
@@ -76,6 +78,8 @@ _COUNT = "To do: write one row a point; polishd program inspect counts them."
 def dwell_rows(path: Path) -> Iterator[FloatArray]:
     """Read the rows of a table of dwells, s, as arrays of (k,), in order. Lines end in LF or CRLF.
 
+    Of several columns that a header names, as in the ``dwell.csv`` of a plan, ``COLUMN`` is read. The header is no row.
+
     Raises:
         ProgramError: The file cannot be read, or a row is not one number of seconds, 0 to ``LONGEST_S``; names the row.
     """
@@ -85,7 +89,11 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
             rows = file.readlines(_PIECE)
             if rows:
                 rows[0] = rows[0].removeprefix(b"\xef\xbb\xbf")
+            column = _column(rows[0]) if rows else None
+            if column is not None:
+                rows = rows[1:] or file.readlines(_PIECE)
             while rows:
+                rows = rows if column is None else [_field(row, column) for row in rows]
                 yield _values(path, rows, done)
                 done += len(rows)
                 rows = file.readlines(_PIECE)
@@ -93,6 +101,16 @@ def dwell_rows(path: Path) -> Iterator[FloatArray]:
         raise ProgramError(f"{path}: cannot be read: {error.strerror}. To do: check the path of the dwells.") from error
     if not done:
         raise ProgramError(f"{path}: the table of dwells is empty. To do: write one dwell in seconds a row.")
+
+
+def _column(first: bytes) -> int | None:
+    """Index of ``COLUMN`` in a header of several columns; None: the row is no such header."""
+    names = [name.strip() for name in first.split(b",")]
+    return names.index(COLUMN) if len(names) > 1 and COLUMN in names else None
+
+
+def _field(row: bytes, column: int) -> bytes:
+    return b"".join(row.split(b",")[column : column + 1])
 
 
 def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
@@ -106,7 +124,8 @@ def _values(path: Path, rows: list[bytes], before: int) -> FloatArray:
         if reason is not None:
             shown = row.decode("utf-8", "backslashreplace").strip()[:60]
             raise ProgramError(
-                f'{path}, row {number} {reason}: "{shown}". To do: write one dwell in seconds a row, and no header.'
+                f'{path}, row {number} {reason}: "{shown}". To do: write one dwell in seconds a row, and no header; '
+                "or give the dwell.csv of a plan."
             )
     raise ProgramError(f"{path}: cannot be read as numbers from row {before + 1} on.")
 
@@ -160,23 +179,28 @@ def rewrite_file(
     encoding: Encoding | None = None,
     *,
     comment: bool = False,
+    force: bool = True,
     progress: Progress | None = None,
 ) -> RewriteResult:
     """Write the program in ``file`` to ``out`` with the times of ``table``.
 
     NC text whose encoding stays goes through in bounded memory and is read back before it gets its name. Everything
     else is held in memory and proved to move as before. Where the controller limits the lines of a program, ``out``
-    is the first of several files: ``out_2``, ``out_3``, ...
+    is the first of several files: ``out_2``, ``out_3``, ... ``force``: replace existing files.
 
     Raises:
+        ConfigError: An output exists, without ``force``.
         ProgramError: Anything is wrong with program, table or output. Nothing was written.
     """
     sources = (file, table.path)
     require_new_target(out, *sources)
+    require_new_file(out, force=force)
     mark = _comment(dialect) if comment else b""
     if isinstance(dialect, GcodeDialect) and encoding is None:
         return _streamed(file, table, out, dialect, mark=mark, progress=progress)
-    return _held(read_program_file(dialect, file), table, out, dialect, encoding, mark=mark, sources=sources)
+    return _held(
+        read_program_file(dialect, file), table, out, dialect, encoding, mark=mark, sources=sources, force=force
+    )
 
 
 def require_new_target(out: Path, *sources: Path) -> None:
@@ -229,6 +253,7 @@ def _held(
     *,
     mark: bytes,
     sources: Sequence[Path],
+    force: bool,
 ) -> RewriteResult:
     times = table.take(program.n)
     table.finish()
@@ -240,6 +265,7 @@ def _held(
     outs = [out, *(out.with_stem(f"{out.stem}_{number}") for number in range(2, len(parts) + 1))]
     for path in outs:
         require_new_target(path, *sources)
+        require_new_file(path, force=force)
     with ExitStack() as stack:  # all files are on the disk before the first gets its name
         for path, part in zip(outs, parts, strict=True):
             stack.enter_context(target_file(path)).write(part)

@@ -28,6 +28,7 @@ from polishd.plugins.rnc_robot.dialect import (
     require_language,
 )
 from polishd.plugins.rnc_robot.dialect import dialect as dialect_named
+from polishd.plugins.rnc_robot.formats import require_one_reading
 from polishd.plugins.rnc_robot.gcode.rewrite import StreamCounts, scan_program
 from polishd.plugins.rnc_robot.languages import LanguageProfile
 from polishd.plugins.rnc_robot.verify import Verification, verify
@@ -55,11 +56,15 @@ def chosen(file: Path, dialect: str | None) -> tuple[AnyDialect, str]:
         ConfigError: there is no such dialect.
     """
     if _is_pipe(file):  # read only once
-        return dialect_named(dialect or DEFAULT), "--dialect" if dialect else "assumed: not a regular file"
+        if dialect is None:
+            raise ProgramError(f"{file}: a pipe is read once, so its dialect is not detected. To do: give --dialect.")
+        return dialect_named(dialect), "--dialect"
     with opened(file) as source:
         head = source.read(HEAD_BYTES)
     if dialect is None:
         found = detect(head, file.name)
+        if found.dialect == DEFAULT:
+            require_one_reading(head, file.name)
         return dialect_named(found.dialect), found.why
     profile = dialect_named(dialect)
     require_language(profile, head, file.name)
@@ -148,12 +153,20 @@ ENCODINGS: dict[Encoding, str] = {
 
 
 def rewrite_verb(
-    file: Path, dwell: Path, out: Path, dialect: str | None, encoding: Encoding | None, *, comment: bool, as_json: bool
+    file: Path,
+    dwell: Path,
+    out: Path,
+    dialect: str | None,
+    encoding: Encoding | None,
+    *,
+    comment: bool,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Write the program with other times; write nothing where anything is wrong."""
     (profile, why), table = chosen(file, dialect), DwellTable(dwell)
     with _naming_the_assumption(profile, why), _bar("rewriting", file) as progress:
-        written = rewrite_file(file, table, out, profile, encoding, comment=comment, progress=progress)
+        written = rewrite_file(file, table, out, profile, encoding, comment=comment, force=force, progress=progress)
     answer = {**asdict(written), "out": [str(path) for path in written.out], "dialect": profile.name, "dialect_by": why}
     rows = [
         ("dialect", f"{profile.name} ({why})"),
@@ -200,15 +213,18 @@ def _verify_table(found: Verification, title: str) -> Any:
     before, after = found.range_before_s, found.range_after_s
     rows = [
         ("motion", "identical" if found.identical_motion else "NOT proved identical"),
-        (
-            "points",
-            f"{found.points}, the time of {found.changed_points} changed, by {found.largest_change_s:.6g} s at most",
-        ),
+        ("points", f"{found.points}, {_changed_words(found)}"),
         ("before", f"{found.time_before_s:.6g} s, a point {before[0]:.6g} to {before[1]:.6g} s"),
         ("after", f"{found.time_after_s:.6g} s, a point {after[0]:.6g} to {after[1]:.6g} s"),
         *(("proved by", words) for words in found.proved_by),
     ]
     return key_table(title, rows)
+
+
+def _changed_words(found: Verification) -> str:
+    if found.changed_points is None or found.largest_change_s is None:
+        return "times not compared"
+    return f"the time of {found.changed_points} changed, by {found.largest_change_s:.6g} s at most"
 
 
 def _say_notes(what: str, notes: list[str] | tuple[str, ...]) -> None:

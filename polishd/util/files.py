@@ -143,6 +143,12 @@ def require_writable_file(path: Path) -> None:
     require_writable(path.parent)
 
 
+def require_new_file(path: Path, *, force: bool) -> None:
+    """ConfigError where a file of that name exists and may not be replaced."""
+    if path.is_file() and not force:
+        raise ConfigError(f"{path}: exists already; name another file, or say --force")
+
+
 def require_new(out: Path) -> None:
     """Raise ConfigError unless the folder does not exist or is empty."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

@@ -32,11 +32,15 @@ def dialect(name_or_path: str | Path) -> AnyDialect:
     text = str(name_or_path)
     if not text.endswith(".toml"):
         if text not in DIALECTS:
-            near = difflib.get_close_matches(text, DIALECTS, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(DIALECTS)}."
-            raise ConfigError(f"dialect {text!r} is not known: {hint} Use a known one, or the path of a .toml")
+            raise ConfigError(_unknown(text))
         return _shipped(text)
     return _of_file(Path(name_or_path))
+
+
+def _unknown(name: str) -> str:
+    near = difflib.get_close_matches(name, DIALECTS, 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(DIALECTS)}."
+    return f"dialect {name!r} is not known: {hint} Use a known one, or the path of a .toml"
 
 
 @functools.cache
@@ -65,6 +69,9 @@ def _content(path: Path, below: tuple[Path, ...]) -> tuple[dict[str, Any], tuple
     if parent.resolve() in (path.resolve(), *below):
         problem = f"{base!r} extends this file again, in a circle; remove one of these keys"
         raise ConfigError(source.error(("extends",), problem))
+    if not parent.is_file():
+        missing = f"{base}: cannot be read: there is no such file; name a shipped dialect, or a .toml beside this file"
+        raise ConfigError(source.error(("extends",), missing if base.endswith(".toml") else _unknown(base)))
     under, sources = _content(parent, (*below, path.resolve()))
     return _laid_over(under, content), (*sources, source)
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -30,6 +32,53 @@ from polishd.plugins.rnc_robot.gcode.recode import recode
 from polishd.plugins.rnc_robot.languages.make import PathTimes, language_program
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.process.frames import angles_from_axis
+
+# Dialects that read one program with different times.
+
+COMPARED_BYTES = 1 << 18
+"""Beginning of a program that is read in every dialect."""
+_TIME = 1e-6
+"""Relative difference of times that are another unit, and not a rounding."""
+
+
+def require_one_reading(head: bytes, name: str) -> None:
+    """ProgramError where shipped dialects of G-code read the program without a refusal, but with different times."""
+    text = head
+    if len(head) > COMPARED_BYTES:
+        text = head[: head.rfind(b"\n", 0, COMPARED_BYTES) + 1] + b"M2\n"
+    readings: list[tuple[Program, list[str]]] = []
+    for profile in (dialect(one) for one in DIALECTS if one not in LANGUAGES):
+        with suppress(ProgramError):
+            program = nc.read(cast(GcodeDialect, profile), text, name)
+            same = next((names for one, names in readings if _first_other_time(one, program) is None), None)
+            if same is None:
+                readings.append((program, [profile.name]))
+            else:
+                same.append(profile.name)
+    if len(readings) < 2:
+        return
+    (one, names), (other, others) = readings[:2]
+    at = _first_other_time(one, other) or 0
+    line = one.line[min(at, one.n - 1)]
+    words = " and ".join(
+        f"{program.time_s[at]:.6g} s ({', '.join(by)})" if at < program.n else f"no time ({', '.join(by)})"
+        for program, by in ((one, names), (other, others))
+    )
+    raise ProgramError(
+        f"{name}:{line}: several dialects fit, and read the time of this line as {words}. "
+        "To do: which controller is it for? Say --dialect and its name."
+    )
+
+
+def _first_other_time(one: Program, other: Program) -> int | None:
+    """Index of the first point whose time is not the same in both readings; None: there is none."""
+    count = min(one.n, other.n)
+    same = np.isclose(one.time_s[:count], other.time_s[:count], rtol=_TIME, atol=0.0, equal_nan=True)
+    same &= one.line[:count] == other.line[:count]
+    if same.all():
+        return None if one.n == other.n else count
+    return int(np.argmin(same))
+
 
 # Lines that a robot's driver adds to a program, read in the program's dialect.
 

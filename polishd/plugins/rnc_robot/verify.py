@@ -481,9 +481,10 @@ class Verification:
     """Description of the first difference in motion; None where there is none."""
     points: int
     """Timed points of the new program."""
-    changed_points: int
-    """Points of both whose times differ."""
-    largest_change_s: float
+    changed_points: int | None
+    """Points of both whose times differ; None where motion differs: times are not compared then."""
+    largest_change_s: float | None
+    """None likewise."""
     time_before_s: float
     """Sum over the points."""
     time_after_s: float
@@ -600,13 +601,13 @@ def _verification(
     proved: tuple[str, ...],
 ) -> Verification:
     one, other = old.program, new.program
-    change = _changes_s(old, new) if difference is None else np.zeros(0)
+    change = _changes_s(old, new) if difference is None else None
     return Verification(
         identical_motion=difference is None,
         difference=difference,
         points=other.n,
-        changed_points=int(np.count_nonzero(change)),
-        largest_change_s=float(np.abs(change).max(initial=0.0)),
+        changed_points=None if change is None else int(np.count_nonzero(change)),
+        largest_change_s=None if change is None else float(np.abs(change).max(initial=0.0)),
         time_before_s=float(one.time_s.sum()),
         time_after_s=float(other.time_s.sum()),
         range_before_s=(float(one.time_s.min()), float(one.time_s.max())),

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from polishd.cli import cell
 from polishd.cli.json_error import error_facts
-from polishd.model.errors import ConfigError, DeviceFault, LinkError, PolishdError, ProgramError
+from polishd.model.errors import ConfigError, DeviceFault, LinkError, MapError, PolishdError, ProgramError
 from polishd.rendering.terminal import emit
 from tests.unit.cli_result import Polishd
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "cell.toml"
 
 
 def test_an_error_is_printed_as_text_and_as_json(polishd: Polishd, tmp_path: Path) -> None:
@@ -37,16 +40,71 @@ def test_an_error_is_printed_as_text_and_as_json(polishd: Polishd, tmp_path: Pat
         (ConfigError("a.toml:3: not TOML: a key is missing"), {"file": "a.toml", "line": 3}),
         (ConfigError("a.toml (override): job.id: is empty"), {}),
         (ProgramError("k1.src:1: column: 3"), {"file": "k1.src", "line": 1}),
+        (ProgramError('e.nc, line 2: # is not read: "G1 X#1": 3'), {"file": "e.nc", "line": 2}),
+        (ProgramError("nothing was written:\ne.nc, line 2: x"), {"file": "e.nc", "line": 2}),
+        (ProgramError('/x/d.csv, row 2 is not a number: "x"'), {"file": "/x/d.csv"}),
+        (ConfigError("/x/cell.toml: cannot be read: No such file"), {"file": "/x/cell.toml"}),
+        (ConfigError("/x/cell.toml (override): job.id: is empty"), {}),
+        (ConfigError("job.id: is empty"), {}),
+        (MapError("/x/a.dat: is too short"), {"file": "/x/a.dat"}),
+        (LinkError("/dev/ttyS0: no answer"), {}),
+        (PermissionError(13, "Permission denied", "a.txt"), {"file": "a.txt"}),
+        (MemoryError("a map"), {}),
         (LinkError("10.0.0.2:502: no answer"), {}),
         (PolishdError("failed"), {}),
     ],
     ids=str,
 )
-def test_the_location_is_that_of_the_message(error: PolishdError, located: dict[str, object]) -> None:
-    facts = error_facts(error, str(error), error.exit_code)
-    assert facts == {
-        "ok": False, "error": str(error), "code": type(error).__name__, "exit_code": error.exit_code, **located,
-    }  # fmt: skip
+def test_the_location_is_that_of_the_message(error: Exception, located: dict[str, object]) -> None:
+    facts = error_facts(error, str(error), 3)
+    assert facts == {"ok": False, "error": str(error), "code": type(error).__name__, "exit_code": 3, **located}
+
+
+@pytest.mark.parametrize(
+    ("words", "located"),
+    [
+        (("check", "none.toml"), {"file": "none.toml"}),
+        (("program", "inspect", "e.nc"), {"file": "e.nc", "line": 2}),
+        (("program", "inspect", "none.nc"), {"file": "none.nc"}),
+        (("program", "rewrite", "good.nc", "--dwell=d.csv", "--out", "n.nc"), {"file": "d.csv"}),
+        (("plan", EXAMPLE, "torn.dat", "--out", "plan"), {"file": "torn.dat"}),
+    ],
+    ids=lambda value: str(value[:2]) if isinstance(value, tuple) else "",
+)
+def test_files_of_the_command_line_are_named(
+    polishd: Polishd,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[object, ...],
+    located: dict[str, object],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("e.nc").write_text("G21 G90 G94\nG1 X#1 F600\nM2\n")
+    Path("good.nc").write_text("G21 G90 G94\nG0 X0\nG1 X1 F600\nG4 P0.5\nM2\n")
+    Path("d.csv").write_text("x\n")
+    Path("torn.dat").write_bytes(b"\x88\x1b\x03\x6f" + b"\0" * 99)
+    said = polishd(*words, "--json")
+    assert said.failure in (3, 8, 9)
+    facts = json.loads(said.out)
+    assert {key: facts[key] for key in ("file", "line") if key in facts} == located
+
+
+@pytest.mark.parametrize("command", ["check", "plan"])
+def test_a_file_that_may_not_be_read_is_refused_as_a_missing_one(
+    polishd: Polishd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text("")
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("polishd.util.files.open_input", refuse)
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # what typer asks, and is yes to root
+    said = polishd(command, cell, *([] if command == "check" else ["map.dat", "--out", tmp_path / "plan"]), "--json")
+    assert said.failure == 3
+    assert json.loads(said.out)["file"] == str(cell)
+    assert "Permission denied" in said.err
 
 
 def test_an_error_after_the_json_of_a_command_prints_no_second_object(

@@ -51,7 +51,7 @@ def call(*words: object) -> Result:
 def made(tmp_path: Path, *words: object, to: str = "rs274") -> tuple[dict[str, Any], Program]:
     """What was said, and the program that was written."""
     out = tmp_path / "made.nc"
-    said = call(*words, "--out", out, "--json", "--dialect", to)
+    said = call(*words, "--out", out, "--json", "--dialect", to, "--force")
     assert said.exit_code == 0, (said.output, said.exception)
     return json.loads(said.stdout), read(dialect(to), out.read_bytes(), "made.nc")
 
@@ -312,7 +312,7 @@ def test_a_program_replaces_one_in_another_language_though_the_cell_has_a_touch_
     cell = cell_with(tmp_path, ('format = "rs274"', 'format = "inform"'))
     program = cell.parent / path
     program.write_text("G21 G90\nG1 X0 Y0 Z0 F100\n")
-    done = call("raster", "--cell", cell, "--pitch", 4, "--out", program)
+    done = call("raster", "--cell", cell, "--pitch", 4, "--out", program, "--force")
     assert done.exit_code == 0, done.exception
     assert program.read_bytes().startswith(b"/JOB")
 
@@ -460,6 +460,17 @@ def test_the_cell_is_not_written_over(tmp_path: Path) -> None:
     said = call("spiral", "--cell", cell, "--out", cell)
     assert isinstance(said.exception, ProgramError)
     assert cell.read_bytes() == EXAMPLE.read_bytes()
+
+
+def test_an_existing_file_is_replaced_only_with_force(polishd: Polishd, tmp_path: Path) -> None:
+    out = tmp_path / "made.nc"
+    out.write_text("old")
+    words = ("program", "make", "raster", "--aperture", "circle:9", "--out", out)
+    said = polishd(*words, "--json")
+    assert (said.failure, out.read_text()) == (3, "old")
+    assert f"{out}: exists already; name another file, or say --force" in said.err
+    assert polishd(*words, "--force").code == 0
+    assert out.read_bytes().startswith(b"(raster")
 
 
 def test_nothing_takes_the_place_of_a_pipe(tmp_path: Path) -> None:

@@ -69,6 +69,23 @@ def test_what_is_no_dwell_is_refused_by_row(tmp_path: Path, content: bytes, says
     assert "To do: " in str(raised.value)
 
 
+@pytest.mark.parametrize("piece", [2, 1 << 20])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_the_table_of_a_plan_is_read_by_its_column(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str, piece: int
+) -> None:
+    monkeypatch.setattr(rewrite, "_PIECE", piece)
+    rows = ["point,line,dwell_s,asked_s", "0,5,0.25,9", "1,6,0.5,9", "2,7,1e-3,9"]
+    assert read(tmp_path / "d.csv", end.join(rows).encode()).tolist() == [0.25, 0.5, 0.001]
+    rows[2] = "1,6"
+    with pytest.raises(ProgramError, match="row 2 is empty"):
+        read(tmp_path / "d.csv", end.join(rows).encode())
+    with pytest.raises(ProgramError, match="the table of dwells is empty"):
+        read(tmp_path / "d.csv", rows[0].encode())
+    with pytest.raises(ProgramError, match="row 1 holds a comma"):
+        read(tmp_path / "d.csv", b"point,line,time_s\n0,5,1\n")
+
+
 @pytest.mark.parametrize("bad", [1, 7, 500, 999])
 def test_a_long_table_comes_in_pieces_and_its_rows_keep_their_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: int

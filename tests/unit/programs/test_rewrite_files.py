@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polishd.api import ProgramError
+from polishd.api import ConfigError, ProgramError
 from polishd.model.program import Encoding
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import read, rewrite
@@ -189,6 +189,14 @@ def test_no_part_takes_the_place_of_what_is_read(tmp_path: Path, short_lines: st
         rewrite_file(source, DwellTable(table), tmp_path / "new.rnc", dialect(short_lines))
     assert source.read_bytes() == long_program(12)
     assert left(tmp_path) == ["d.csv", "new_2.rnc", "small.toml"]
+
+
+def test_no_part_replaces_an_existing_file_without_force(tmp_path: Path, short_lines: str) -> None:
+    (tmp_path / "new_2.rnc").write_bytes(b"old")
+    with pytest.raises(ConfigError, match=r"new_2\.rnc: exists already; name another file, or say --force"):
+        rewritten(tmp_path, long_program(12), [0.5] * 12, short_lines, force=False)
+    assert (tmp_path / "new_2.rnc").read_bytes() == b"old"
+    assert left(tmp_path) == ["d.csv", "new_2.rnc", "p.rnc", "small.toml"]
 
 
 def test_a_file_gets_its_name_at_the_end_only(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -21,9 +22,10 @@ from polishd.rendering.terminal import stdout
 from tests.unit.cli_result import Polishd
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
 
-DWELL = b"(a)\nG21 G90 G94\nG0 X0 Y0 Z5\nG1 X1 Z0 F60\nG4 P1\nG1 X3\nG4 P.5\nG1 X4 Y-1\nG4 P2\nG0 Z5\nM2".replace(
+DWELL = b"(a)\nG21 G90 G94 G61.1\nG0 X0 Y0 Z5\nG1 X1 Z0 F60\nG4 P1\nG1 X3\nG4 P.5\nG1 X4 Y-1\nG4 P2\nG0 Z5\nM2".replace(
     b"\n", b"\r\n"
 )
+"""G61.1 is of rs274 alone: Haas would read P1 as 1 ms."""
 FEED = b"G21 G90 G94\nG0 X0 Y0 Z0\nG1 X1 F60\nG1 X3 F240\nM2\n"
 KEYS = ["dialect", "lines", "points", "dwell_total_s", "feed_range_mm_min", "bounds_mm", "warnings"]
 
@@ -167,7 +169,7 @@ def test_a_table_of_zeros_is_written_with_a_warning(polishd: Polishd, program: P
         "program", "rewrite", program, "--dwell", table(tmp_path / "d.csv", 0, 0, 0), "--out", tmp_path / "n"
     )
     assert "all 3 rows are 0 s: the new program removes nothing" in said.out
-    again = polishd("program", "rewrite", program, "--dwell", tmp_path / "d.csv", "--out", tmp_path / "n", "--json")
+    again = polishd("program", "rewrite", program, "--dwell", tmp_path / "d.csv", "--out", tmp_path / "m", "--json")
     assert len(again.answer["warnings"]) == 1
 
 
@@ -246,10 +248,24 @@ def test_an_old_output_survives_a_full_disk(
 
     monkeypatch.setattr(os, "fsync", full)
     rows = table(tmp_path / "d.csv", 1, 2, 3)
-    said = polishd("program", "rewrite", program, "--dwell", rows, "--out", out)
+    said = polishd("program", "rewrite", program, "--dwell", rows, "--out", out, "--force")
     assert (said.code, "No space left on device" in said.err) == (9, True)
     assert out.read_bytes() == b"old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.csv", "new.rnc", "p.rnc"]
+
+
+@pytest.mark.parametrize("encoding", [(), ("--encoding", "inverse")], ids=["streamed", "held"])
+def test_an_existing_file_is_replaced_only_with_force(
+    polishd: Polishd, program: Path, tmp_path: Path, encoding: tuple[str, ...]
+) -> None:
+    out = tmp_path / "new.rnc"
+    out.write_bytes(b"old")
+    words = ("rewrite", program, "--dwell", table(tmp_path / "d.csv", 1, 2, 3), "--out", out, *encoding)
+    said = polishd("program", *words, "--json")
+    assert (said.failure, out.read_bytes()) == (3, b"old")
+    assert f"{out}: exists already; name another file, or say --force" in said.err
+    assert polishd("program", *words, "--force").code == 0
+    assert out.read_bytes() != b"old"
 
 
 def test_verify_proves(polishd: Polishd, program: Path, tmp_path: Path) -> None:
@@ -288,18 +304,21 @@ def test_verify_says_where_motion_differs_and_exits_9(polishd: Polishd, program:
     said = polishd("program", "verify", program, new)
     assert said.code == 9
     assert "NOT proved identical" in said.out
+    assert "3, times not compared" in said.out
     assert 'also changed: line 11 "M2" became line 11 "M30"' in said.out
     assert 'new.rnc: not proved to move as p.rnc does: line 6 "G1 X3\\r" became line 6 "G1 X3.01\\r"' in said.err
     said = polishd("program", "verify", program, new, "--json")
     assert said.code == 9
     assert '"identical_motion": false' in said.out
+    found = json.loads(said.out)
+    assert (found["changed_points"], found["largest_change_s"]) == (None, None)
     assert said.err.count("\n") == 1
 
 
 def test_many_changes_are_cut_for_people_only(polishd: Polishd, tmp_path: Path) -> None:
     moves = b"".join(b"G1 X%d F60\nG4 P1\n" % i for i in range(1, 100))
     old, new = tmp_path / "a.rnc", tmp_path / "b.rnc"
-    old.write_bytes(b"G21 G90 G94\nG0 X0 Y0 Z0\n" + moves + b"M2\n")
+    old.write_bytes(b"G21 G90 G94 G61.1\nG0 X0 Y0 Z0\n" + moves + b"M2\n")
     new.write_bytes(old.read_bytes().replace(b"\n", b" (c)\n"))
     said = polishd("program", "verify", old, new)
     assert said.out.count("also changed: line") == program_picture.SHOWN
@@ -354,7 +373,15 @@ def test_files_that_are_none(polishd: Polishd, program: Path, tmp_path: Path) ->
 def test_the_dialect_is_asked_for_and_never_guessed(polishd: Polishd, tmp_path: Path) -> None:
     path = tmp_path / "p.haas"
     path.write_bytes(b"G21 G90 G94\nG0 X0. Y0. Z0.\nG1 X1. F60.\nG4 P500\nM30\n")
-    assert polishd("program", "inspect", path, "--json").answer["dwell_total_s"] == 500.0
+    rows, out = table(tmp_path / "d.csv", 0.5), tmp_path / "n.nc"
+    for words in (("inspect", path), ("rewrite", path, "--dwell", rows, "--out", out), ("verify", path, path)):
+        said = polishd("program", *words, "--json")
+        assert said.failure == 9
+        assert "p.haas:4: several dialects fit" in said.err
+        assert "as 500 s (rs274, grbl) and 0.5 s (fanuc, haas, siemens-iso, weihong)" in said.err
+        assert "Say --dialect" in said.err
+    assert not out.exists()
+    assert polishd("program", "inspect", path, "--dialect", "rs274", "--json").answer["dwell_total_s"] == 500.0
     assert polishd("program", "inspect", path, "--dialect", "haas", "--json").answer["dwell_total_s"] == 0.5
     own = tmp_path / "own.toml"
     own.write_text('extends = "haas"\nname = "ours"\n')
@@ -362,6 +389,12 @@ def test_the_dialect_is_asked_for_and_never_guessed(polishd: Polishd, tmp_path: 
     assert (answer["dialect"], answer["dwell_total_s"]) == ("ours", 0.5)
     said = polishd("program", "inspect", path, "--dialect", "hass")
     assert (said.code, "did you mean 'haas'?" in said.err) == (3, True)
+
+
+def test_a_pipe_needs_its_dialect(polishd: Polishd, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "p.nc")
+    said = polishd("program", "inspect", tmp_path / "p.nc")
+    assert (said.code, "give --dialect" in said.err) == (9, True)
 
 
 def test_the_dialect_of_the_docs_is_read_as_they_say(polishd: Polishd, tmp_path: Path) -> None:

@@ -24,7 +24,14 @@ from polishd.plugins.rnc_robot.languages.parser import scan
 from polishd.plugins.rnc_robot.languages.profile import LanguageProfile
 from polishd.plugins.rnc_robot.languages.program_scan import Scan
 from polishd.plugins.rnc_robot.languages.statements import MatchedStatement
-from polishd.plugins.rnc_robot.languages.timed_moves import TimedMoves, context_of, locations, move_timing, timed_moves
+from polishd.plugins.rnc_robot.languages.timed_moves import (
+    TimedMoves,
+    context_of,
+    locations,
+    move_timing,
+    require_rules,
+    timed_moves,
+)
 
 _UNITS = {1.0: "s", 0.001: "ms"}
 FEW = 4
@@ -66,6 +73,14 @@ def tool_and_frame(profile: LanguageProfile, text: bytes, name: str) -> tuple[st
 def _read_moves(found: Scan, moves: TimedMoves) -> Program:
     """A program whose moves carry their time."""
     if not moves.rows.size:
+        if moves.fast.size:
+            first, (_, rules) = int(moves.fast[0]), require_rules(found)
+            raise found.refuse_line(
+                moves.columns.move_line[first],
+                f"no feed move carries time, and {moves.fast.size} are faster than {rules.greatest_mm_s:g} mm/s (this "
+                f"is the first): is the speed in {feed_unit(found.profile, moves.columns.factor[first])}?",
+                "correct the speed or its unit, or set move_time.greatest_mm_s in a profile that extends this one",
+            )
         raise ProgramError(
             f"{found.source.name}: no feed move has a dwell, and none leads from one known position to another: "
             "nothing carries time. To do: check that this is the polishing program, and its dialect."

@@ -127,6 +127,8 @@ class TimedMoves:
     feed_mm_min: FloatArray
     stops: BoolArray
     warnings: tuple[str, ...]
+    fast: IntArray
+    """(k,) of the columns: feed moves that are faster than ``greatest_mm_s``."""
 
     @property
     def length_mm(self) -> FloatArray:
@@ -192,7 +194,16 @@ def timed_moves(found: Scan) -> TimedMoves:
     )
     stops = numbers(columns.stops)[rows] != 0
     return TimedMoves(
-        columns, rows, start_mm[rows], end_mm[rows], turn[rows], time_s[rows], feed[rows], stops, warnings
+        columns,
+        rows,
+        start_mm[rows],
+        end_mm[rows],
+        turn[rows],
+        time_s[rows],
+        feed[rows],
+        stops,
+        warnings,
+        np.flatnonzero(travel),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from polishd.commissioning.rehearsal.simulated_cell import with_values
 from polishd.model.errors import ProgramError
 from polishd.plugins.rnc_robot.dialect import DEFAULT, LANGUAGES, detect, dialect
-from polishd.plugins.rnc_robot.formats import read
+from polishd.plugins.rnc_robot.formats import COMPARED_BYTES, read, require_one_reading
 from tests.commissioned import commissioned
 from tests.unit.cli_result import Polishd
 from tests.unit.plugins.rnc_robot.languages.robot_programs import PROGRAMS
@@ -77,6 +78,26 @@ def test_signs(head: bytes, name: str, found: str) -> None:
 def test_what_is_not_read_or_fits_several_is_said(head: bytes, name: str, said: str) -> None:
     with pytest.raises(ProgramError, match=said):
         detect(head, name)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"G21 G90 G94\nG1 X1 F60\nG4 P500\nM30\n", r"3: .*500 s \(rs274, grbl\) and 0.5 s \(fanuc, haas,"),
+        (b"G21 G90 G94\nG1 X1 F60\nG4 P.5\nG1 X2\nG4 P2\nM30\n", r"5: .*2 s \(rs274, grbl\) and 0.002 s \(haas"),
+        (b"G21 G90 G94\nG1 X1 F60\nG4 P500\n", r"3: .*0.5 s \(fanuc, .*\) and 500 s \(grbl"),  # rs274 wants an end
+        (b"G90\nG0 X0\nG1 X1 F60\nM2\n", r"3: .*1 s \(rs274, .*\) and 0.016+7 s \(codesys"),  # mm/s
+        (b"G90 G93\nG0 X0\nG1 X1 F20\nM2\n", r"3: .*3 s \(rs274, .*\) and 20 s \(twincat-cnc"),
+        (b"G21 G90 G94\n" + b"G1 X1 F60\nG4 P500\nG1 X2\nG4 P500\n" * (COMPARED_BYTES // 9), "3: several dialects fit"),
+        (b"G21 G90 G94\nG1 X1 F60\nG4 P.5\nM30\n", ""),
+        (b"G21 G90 G94 G61.1\nG1 X1 F60\nG4 P500\nM30\n", ""),  # rs274 alone reads it
+        (b"G21 G90 G94\nG0 X0\nG1 X1 F60\nX2\nM2\n", ""),
+        (b"G1 X#1 F60\nM2\n", ""),
+    ],
+)
+def test_dialects_that_read_other_times_are_asked_for(text: bytes, said: str) -> None:
+    with pytest.raises(ProgramError, match=rf"p\.nc:{said}") if said else nullcontext():
+        require_one_reading(text, "p.nc")
 
 
 @pytest.mark.parametrize("name", sorted(LANGUAGES))

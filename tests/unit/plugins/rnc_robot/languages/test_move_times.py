@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -68,6 +69,26 @@ def test_rapid_states_times_in_five_forms() -> None:
         restored = restored.replace(old, then)
     assert restored == RAPID
     assert verify(RAPID, new, profile("rapid")).identical_motion
+
+
+URSCRIPT = (
+    b"def p():\n  movel(p[0,0,0,3.14,0,0], a=1.2, v=0.0125)\n  movel(p[0.001,0,0,3.14,0,0], a=1.2, v=0.0125)\n"
+    b"  movel(p[0.002,0,0,3.14,0,0], a=1.2, v=0.0125)\nend\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("urscript", URSCRIPT.replace(b"0.0125", b"12.5"), "line 2: .* 3 are faster than 250 mm/s .*speed in m/s?"),
+        ("krl", re.sub(rb"CP=0.00\d+", b"CP=4", KRL), "line 7: .* 6 are faster than 250 mm/s .*speed in m/s?"),
+    ],
+)
+def test_speeds_in_another_unit_are_said(name: str, text: bytes, said: str) -> None:
+    with pytest.raises(ProgramError, match=said):
+        times(name, text)
+    if name == "urscript":
+        assert times(name, URSCRIPT)[1] == [0.08, 0.08]
 
 
 def test_a_speed_of_krl_holds_until_a_move_needs_another() -> None:
