@@ -297,8 +297,8 @@ def scale_fault(shape: tuple[int, ...], pitch_mm: float) -> str:
 def _pixel_fault(surface: SurfaceMap, wide_mm: float, high_mm: float) -> str:
     """`scale_fault` of pixels of this width and height."""
     ny, nx = surface.height_nm.shape
-    sides = sorted([(nx, wide_mm), (ny, high_mm)], key=lambda side: side[0] * side[1], reverse=True)
-    return next(filter(None, (scale_fault((samples,), pitch_mm) for samples, pitch_mm in sides)), "")
+    samples, pitch_mm = max((nx, wide_mm), (ny, high_mm), key=lambda side: side[0] * side[1])
+    return scale_fault((0,), min(wide_mm, high_mm)) or scale_fault((samples,), pitch_mm)
 
 
 def _scaled(surface: SurfaceMap) -> SurfaceMap:
