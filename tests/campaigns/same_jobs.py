@@ -19,6 +19,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pyarrow.parquet import read_table
+
 from tests.campaigns import claims, result_files
 
 OF_THE_RUN = {"cpu_s", "wall_s", "worker_s", "tries", "of", "versions", "why"}
@@ -28,8 +30,7 @@ THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 def figures_of(folder: Path) -> list[dict[str, Any]]:
     """Return the rows of a study without what belongs to its run."""
-    lines = (json.loads(line) for line in (folder / "cases.jsonl").read_text().splitlines())
-    rows = sorted((row for line in lines for row in line["rows"]), key=lambda row: json.dumps(row["case"]))
+    rows = sorted(read_table(folder / "cases.parquet").to_pylist(), key=lambda row: int(row["case"]))
     return [{key: value for key, value in row.items() if key not in OF_THE_RUN} for row in rows]
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pyarrow import Table
+from pyarrow.parquet import write_table
 
 from tests.campaigns.claims import Claim
 from tests.campaigns.result_files import sources
@@ -23,7 +24,7 @@ ROW = {
 
 
 def rows(folder: Path, *found: dict[str, object]) -> Path:
-    (folder / "cases.jsonl").write_text("".join(json.dumps({"of": "x", "rows": [row]}) + "\n" for row in found))
+    write_table(Table.from_pylist(list(found)), folder / "cases.parquet")
     return folder
 
 
