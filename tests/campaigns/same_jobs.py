@@ -23,7 +23,7 @@ from pyarrow.parquet import read_table
 
 from tests.campaigns import claims, result_files
 
-OF_THE_RUN = {"cpu_s", "wall_s", "worker_s", "tries", "of", "versions", "why"}
+OF_THE_RUN = {"cpu_s", "wall_s", "tries", "of", "versions", "why"}
 """Keys of a case that no figure of a page is made of: times of the computer, labels, and texts for people."""
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 

@@ -307,8 +307,7 @@ def date_of(text: str, *, utc: bool = False) -> Date:
     """Read a header's date, with a zone; no date where the text is empty.
 
     A date without a time of day, with two readings, or in an hour that the local clocks repeat, is "guessed"; an
-    unreadable date is None. ``utc``: the format
-    defines a date without a zone as UTC.
+    unreadable date is None. ``utc``: the format defines a date without a zone as UTC.
     """
     words = " ".join(text.split())
     if not words:
