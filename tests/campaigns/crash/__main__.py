@@ -1,4 +1,4 @@
-"""``make crash``: crash states and kills, added to those of earlier sittings until there are as many as asked for."""
+"""``make crash``: crash states and kills, added to those of earlier sessions until there are as many as asked for."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.campaigns.crash.states import rounds
 FOLDER = ROOT / "build" / "crash"
 STATES, KILLS, FAULTS = 100_000, 2_000, 3
 BEGINNINGS = 10
-"""So many cells may be starved before they begin, in one sitting."""
+"""So many cells may be starved before they begin, in one session."""
 
 
 def say(*words: object) -> None:
@@ -34,7 +34,7 @@ def run_states(figures: Figures, wanted: int, until_s: float) -> None:
     """Rounds until there are as many different states as wanted; each is kept when it is done."""
     if figures.states >= wanted:
         return
-    say("crash: recording two jobs of the daemon, or taking those of an earlier sitting")
+    say("crash: recording two jobs of the daemon, or taking those of an earlier session")
     recording = figures.recording()
     for variants, tried in rounds(recording, figures.variants, int(figures.all["seed"]), figures.keys):
         figures.add_states(variants, tried)
@@ -98,8 +98,8 @@ def main() -> int:
     parse.add_argument("--kills", type=int, default=KILLS, help="killed processes in all")
     parse.add_argument("--faults", type=int, default=FAULTS, help="of the model; 0: it is not checked")
     parse.add_argument("--seed", type=int, default=1, help="another one begins anew")
-    parse.add_argument("--minutes", type=float, default=1e9, help="of each in this sitting; what was begun is ended")
-    parse.add_argument("--folder", type=Path, default=FOLDER, help="where figures are kept between sittings")
+    parse.add_argument("--minutes", type=float, default=1e9, help="of each in this session; what was begun is ended")
+    parse.add_argument("--folder", type=Path, default=FOLDER, help="where figures are kept between sessions")
     parse.add_argument("--json", action="store_true", help="nothing but the last line, which is JSON in any case")
     options = parse.parse_args()
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # thousands of daemons would each compile polishd again

@@ -63,11 +63,11 @@ class Figures:
         self.keys = {content[k : k + KEY_BYTES] for k in range(0, len(content), KEY_BYTES)}
 
     def recording(self) -> list[Op]:
-        """That of an earlier sitting, or a new one."""
+        """That of an earlier session, or a new one."""
         path = self._folder / "recording.pickle"
         if not path.exists():
             folder = self._folder / "recorded"
-            shutil.rmtree(folder, ignore_errors=True)  # of a sitting that was interrupted
+            shutil.rmtree(folder, ignore_errors=True)  # of a session that was interrupted
             write_atomic(path, pickle.dumps(recorded_daemon(folder)))
             shutil.rmtree(folder)
         found: list[Op] = pickle.loads(path.read_bytes())

@@ -1,6 +1,6 @@
 """``make faults``: every fault on every link in contact, and what came of it, into docs/reference/results.md.
 
-Goes on where an earlier sitting ended, on whichever machine that was: first with the cases that were never measured,
+Goes on where an earlier session ended, on whichever machine that was: first with the cases that were never measured,
 then with those of other sources.
 """
 
@@ -25,7 +25,7 @@ from tests.campaigns.faults.page import write
 from tests.campaigns.result_files import first_line, side_by_side
 
 NOT_MEASURED = "not measured"
-"""The cell did not come so far, or not to rest: no row of the page, and the next sitting tries again."""
+"""The cell did not come so far, or not to rest: no row of the page, and the next session tries again."""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,6 +1,6 @@
 """``make pits``: robots that stand or are slow and forces that are wrong, in contact, and the removal beyond plan.
 
-Goes on where an earlier sitting ended: first with the cases that were never measured, then with those of other sources.
+Goes on where an earlier session ended: first with the cases that were never measured, then with those of other sources.
 """
 
 from __future__ import annotations

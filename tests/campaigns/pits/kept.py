@@ -39,7 +39,7 @@ def of_case(link: str) -> str:
 
 
 class Kept:
-    """The results of all sittings. Several threads may add."""
+    """The results of all sessions. Several threads may add."""
 
     def __init__(self, folder: Path = DATA) -> None:
         self._path = folder / "pits.jsonl"

@@ -66,7 +66,7 @@ def test_all_of_a_call_are_added_or_none(polishd: Polishd, cell: Path, tmp_path:
         ("[machine]\ncorner_deg = 3.0\n", 3, "machine: "),
         ('[program]\npath = "none.rnc"\n', 3, "none.rnc: cannot be read"),
         ("aperture_mm = 60.0\n", 3, "the program leaves out 49.0 % of the clear aperture"),
-        ("origin_mm = [3000.0, 220.0, 2315.0]\n", 10, "out of the workspace"),
+        ("origin_mm = [3000.0, 220.0, 2315.0]\n", 3, "out of the workspace"),
     ],
     ids=["the cell's", "no program", "does not cover", "out of reach"],
 )
