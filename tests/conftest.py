@@ -37,6 +37,10 @@ hypothesis.settings.load_profile("polishd")
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+# A shell ignores Ctrl-C in what it starts in the background, and children inherit that: an interrupt would not end it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # pytest-xdist sets it for its workers: tables would be as narrow in them.
 os.environ.pop("COLUMNS", None)
 

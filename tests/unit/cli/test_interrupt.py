@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -42,14 +41,6 @@ class Destroyed:
 
 sys.addaudithook(interrupt)
 """
-
-
-@pytest.fixture(autouse=True)
-def interruptible() -> Iterator[None]:
-    """Restore Ctrl-C, which a shell that runs these tests in the background disables for them and their children."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def interrupted(tmp_path: Path, at: str, *words: str) -> subprocess.CompletedProcess[str]:
