@@ -90,7 +90,8 @@ class MeasuredMaps:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Add the end of the simulator's logs to the report of a failed test, because its folder is deleted soon."""
     report = yield
-    folder = getattr(item, "funcargs", {}).get("tmp_path")
+    fixtures = getattr(item, "funcargs", {})
+    folder = fixtures.get("rig_folder", fixtures.get("tmp_path"))
     if report.when == "call" and report.failed and folder is not None:
         for log in sorted((*folder.rglob("sim.log"), *folder.rglob("sim.stderr"))):
             lines = log.read_text(errors="replace").splitlines()[-LAST_LINES:]

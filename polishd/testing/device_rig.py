@@ -18,6 +18,7 @@ import pytest
 import pytest_asyncio
 
 from polishd.api import DeviceContext, DeviceError, DeviceFault, DeviceType, LinkError, PluginError
+from polishd.daemon.contact.safety import run_to_completion
 from polishd.interfaces import Device
 from polishd.plugin_loader import misspelt_hooks, wrong_version
 from polishd.testing.helpers import SOON_S
@@ -133,9 +134,9 @@ NEEDS = {"cut": "polishd_cuts", "mute": "polishd_mutes"}
 def rig_fixture(name: str) -> Any:
     """Return the fixture of that name: the rig of each of the module's ``CASES``, or of each device of ``--cell``."""
 
-    async def fixture(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Rig[Any]]:
+    async def fixture(request: pytest.FixtureRequest, rig_folder: Path) -> AsyncIterator[Rig[Any]]:
         make: MakeRig = request.param
-        async with make(tmp_path) as rig:
+        async with make(rig_folder) as rig:
             for ability, mark in NEEDS.items():
                 if getattr(rig, ability) is None and request.node.get_closest_marker(mark):
                     pytest.skip(f"the rig cannot {ability} the link")
@@ -257,6 +258,18 @@ def _end(process: Popen[bytes]) -> None:
         process.kill()
 
 
+async def close_safe(device: Device) -> None:
+    """Make the device safe and close it; an interrupt or an error meanwhile does not leave the tool on the part."""
+
+    async def both() -> None:
+        try:
+            await device.make_safe()
+        finally:
+            await device.close()
+
+    await run_to_completion(both())
+
+
 # A driver case for the suites: construction, address, and scope of the tests.
 
 ENDPOINT = "{endpoint}"
@@ -293,8 +306,7 @@ class DriverCase:
             try:
                 yield Rig(device, whole_file=self.whole_file, scope=self.scope, soon_s=self.soon_s)
             finally:
-                await device.make_safe()
-                await device.close()
+                await close_safe(device)
             return
         async with started(self.simulator) as peer:
             device = self.build(folder, peer.endpoint)

@@ -28,7 +28,7 @@ from polishd.interfaces import Device
 from polishd.model.devices import port_of
 from polishd.model.errors import ConfigError, DeviceClaimed, DeviceFault, PolishdError
 from polishd.plugin_loader import Hooks, load_own, plugins_of
-from polishd.testing.device_rig import Rig, TestScope
+from polishd.testing.device_rig import Rig, TestScope, close_safe
 from polishd.util.address_claims import KeptClaims
 from polishd.util.threads import run_loop
 
@@ -181,8 +181,7 @@ class CellDevice:
         try:
             yield Rig(device, scope=self.scope, soon_s=SOON_S)
         finally:
-            await device.make_safe()
-            await device.close()
+            await close_safe(device)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ installed: it imports polishd only when a suite or a cell needs it.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Generator
 from contextlib import ExitStack
 from pathlib import Path
@@ -68,6 +69,15 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
     from polishd.testing.hil_bench import words
 
     return list(words(config.stash[BENCH]))
+
+
+@pytest.fixture
+def rig_folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a test's rig.
+
+    Not ``tmp_path``: after a Ctrl-C while a rig is built or left, pytest 9 ends with its KeyError and exit code 1.
+    """
+    return tmp_path_factory.mktemp(re.sub(r"\W", "_", request.node.name)[:30])
 
 
 @pytest.hookimpl(tryfirst=True)

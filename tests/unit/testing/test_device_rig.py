@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import subprocess
 import sys
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -99,6 +101,35 @@ async def test_a_real_device_is_left_safe_and_has_no_link_to_cut(tmp_path: Path)
     assert device.did == ["close", "make_safe", "close"]
 
 
+async def test_an_interrupt_or_an_error_while_it_is_made_safe_does_not_leave_it(tmp_path: Path) -> None:
+    """Ctrl-C cancels the task; a cancelled make_safe would leave the tool on the part until its watchdog expires."""
+    found, begun, lifted = list[Any](), asyncio.Event(), asyncio.Event()
+
+    async def use(make_safe: Callable[[], Awaitable[None]]) -> None:
+        async with case()(tmp_path) as rig:
+            found.append(rig.device)
+            rig.device.make_safe = make_safe  # type: ignore[method-assign, assignment]
+
+    async def lift() -> None:
+        begun.set()
+        await lifted.wait()
+        found[-1].did.append("lifted")
+
+    async def refuse() -> None:
+        raise LinkError("box: no answer")
+
+    task = asyncio.create_task(use(lift))
+    await begun.wait()
+    task.cancel()
+    asyncio.get_running_loop().call_soon(lifted.set)
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert found[-1].did == ["lifted", "close"]
+    with pytest.raises(LinkError, match="no answer"):
+        await use(refuse)
+    assert found[-1].did == ["close"]
+
+
 @pytest.mark.parametrize(
     ("source", "said"),
     [("print('ready')", "ended before it printed its address"), ("raise SystemExit(3)", "ended before it printed")],
@@ -151,3 +182,28 @@ def test_the_plugin_costs_other_peoples_tests_nothing() -> None:
     code = "import sys, polishd.testing.pytest_plugin; print([n for n in sys.modules if n.startswith('polishd.')])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['polishd.testing', 'polishd.testing.pytest_plugin']"
+
+
+INTERRUPTED = """
+import os, signal
+from contextlib import asynccontextmanager
+from polishd.testing.suites.device import *
+
+@asynccontextmanager
+async def case(folder):
+    os.kill(os.getpid(), signal.SIGINT)
+    await asyncio.Event().wait()
+    yield
+
+CASES = [case]
+"""
+
+
+def test_ctrl_c_while_a_rig_is_built_ends_pytest_as_interrupted(tmp_path: Path) -> None:
+    """It ended with a KeyError of pytest's own tmp_path and exit code 1: a device that fails its requirements."""
+    (tmp_path / "test_mine.py").write_text(INTERRUPTED)
+    (tmp_path / "pytest.ini").write_text("[pytest]\nasyncio_mode = auto\n")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == pytest.ExitCode.INTERRUPTED, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
