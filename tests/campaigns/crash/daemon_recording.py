@@ -44,12 +44,12 @@ class Recorded(Daemon):
 
 
 def recorded_daemon(folder: Path) -> list[Op]:
-    """All sessions, one after the other."""
+    """Start a daemon four times, for two jobs, and return what all of them did."""
     accounts: list[Path] = []
     with small_cell(folder, seed=7, speed=SPEED, tolerance_nm=0.01, max_cycles=1) as files:
 
         @contextmanager
-        def session() -> Iterator[Recorded]:
+        def started() -> Iterator[Recorded]:
             accounts.append(files.out / f"account-{len(accounts)}")
             with Recorded(files, accounts[-1]) as daemon:
                 yield daemon
@@ -57,10 +57,10 @@ def recorded_daemon(folder: Path) -> list[Op]:
         def order(daemon: Daemon, verb: str) -> None:
             client.request(files.state_dir, verb, SOON_S)
 
-        with session() as daemon:
+        with started() as daemon:
             daemon.wait_in_contact(BLOCKS)
             daemon.signal(signal.SIGKILL)
-        with session() as daemon:
+        with started() as daemon:
             daemon.wait_for_state("held")
             order(daemon, "resume")
             daemon.wait_in_contact(BLOCKS)
@@ -68,10 +68,10 @@ def recorded_daemon(folder: Path) -> list[Op]:
             order(daemon, "resume")
             daemon.process.wait(SOON_S)
         files.cell.write_text(with_values(files.cell.read_text(), {"job": {"id": "another"}}))
-        with session() as daemon:
+        with started() as daemon:
             daemon.wait_in_contact(BLOCKS)
             daemon.signal(signal.SIGTERM)
-        with session() as daemon:
+        with started() as daemon:
             daemon.wait_for_state("held")
             order(daemon, "resume")
             daemon.process.wait(SOON_S)

@@ -29,7 +29,7 @@ CELLS = 3
 """Side by side: they mostly wait for their watchdogs."""
 SPEED = 30.0
 COMMITS = 60
-"""At which of a session's first commits a daemon is killed: the first pass begins at about the thirtieth."""
+"""At which of its first commits a daemon is killed: the first pass begins at about the thirtieth."""
 QUICK = {
     "robot": {"silence_s": 1.2, "watchdog_s": 3.0},
     "actuator": {"silence_s": 0.6, "watchdog_ms": 1000, "retract_s": 1.0},

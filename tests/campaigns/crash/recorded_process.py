@@ -99,7 +99,7 @@ def opened(journal: Any, connect: Any, state: Path, *, job: str, **terms: Any) -
 
 
 async def script(state: Path, connect: Any) -> None:
-    """Two jobs in the cycle's order, each in two sessions: the first pass of each job is cut off."""
+    """Two jobs in the cycle's order, each in two runs: the first pass of each job is cut off."""
     for job in ("first", "second"):
         for last in (False, True):
             with locked(state), opened(Journal.open, connect, state, job=job, part_id="P1") as journal:
