@@ -47,6 +47,7 @@ from polishd.model.states import CyclePhase, DaemonState, Outcome, Severity
 from polishd.pipeline.records import FIGURES
 from polishd.pipeline.run_folder import RunFolder
 from tests.fakes.devices import FakeCell
+from tests.unit.daemon.job.test_part_handling_clearance import CLEAR
 from tests.unit.daemon.small_job import small_job
 
 End = Outcome | PolishdError | Callable[[Job], Any]
@@ -256,6 +257,24 @@ async def test_without_a_loader_a_person_changes_the_parts(hall: Hall) -> None:
         await hall.wait(lambda done=1 + (name == "b"): len(hall.polished) == done)
     assert await hall.task is Outcome.IN_TOLERANCE
     assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
+
+
+async def test_a_part_that_a_person_put_in_is_not_polished_until_the_cell_is_clear(hall: Hall) -> None:
+    hall.add("a")
+    monitor = hall.fake.with_monitor(CLEAR, clear=False)
+    await hall.start(until_empty=True)
+    await hall.until("changing")
+    with pytest.raises(DeviceRefused, match="clear is off, must be on"):
+        await hall.order("resume")
+    assert hall.daemon.state == "held"
+    assert hall.polished == []
+    assert not hall.events("part_changed")
+    monitor.values["clear"] = True
+    await hall.order("resume")
+    await hall.until("changing")
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "accepted"}
 
 
 async def test_without_a_loader_the_queue_waits_for_no_absent_operator(hall: Hall) -> None:
@@ -579,7 +598,61 @@ async def test_no_loader_moves_while_a_device_is_not_confirmed_safe(hall: Hall) 
     assert hall.verdicts() == {"a": "accepted"}
 
 
+async def test_no_loader_moves_where_a_device_fails_just_before(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    await hall.build(until_empty=True)
+    make = hall.make
+
+    async def breaks(entry: QueueEntry, *rest: Any) -> tuple[Job, RunFolder]:
+        hall.fake.actuator.acts.fails["make_safe"] = LinkError("silent")
+        return await make(entry, *rest)
+
+    hall.jobs._make = breaks
+    hall.task = asyncio.ensure_future(hall.daemon.run())
+    await hall.until("held")
+    assert "not confirmed to be safe" in hall.daemon.reason
+    assert hall.fake.of("loader.load") == []
+    hall.fake.actuator.acts.fails.clear()
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "accepted"}
+
+
+async def test_a_part_is_changed_for_a_job_only(hall: Hall) -> None:
+    await hall.build()
+    with pytest.raises(RuntimeError, match="no job is under way"):
+        await hall.daemon._change()
+
+
 # orders
+
+
+async def test_a_command_that_came_first_is_obeyed_and_the_job_is_not_removed(
+    hall: Hall, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends |= {name: [LinkError("gone"), Outcome.IN_TOLERANCE] for name in ("a", "b")}
+    obey, removals = JobRunner._obey, []
+
+    async def obey_and_remove(daemon: JobRunner) -> Any:
+        """Remove the job as the command to resume has just been obeyed."""
+        found = await obey(daemon)
+        if not removals:
+            removals.append(asyncio.ensure_future(hall.order("queue_remove", job="a")))
+        return found
+
+    monkeypatch.setattr(JobRunner, "_obey", obey_and_remove)
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    await hall.order("resume")
+    with pytest.raises(DeviceRefused, match="'a' goes on: another command came first"):
+        await removals[0]
+    await hall.wait(lambda: hall.polished == ["a", "a", "b"])
+    await hall.until("held")
+    assert hall.verdicts() == {"a": "accepted", "b": "under way"}, "nor is the next job removed in its place"
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
 
 
 async def test_the_job_over_which_it_is_held_can_be_put_aside(hall: Hall) -> None:

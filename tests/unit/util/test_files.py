@@ -10,17 +10,23 @@ import tempfile
 import threading
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import BaseModel, ValidationError
 
 from polishd.model.errors import ConfigError
 from polishd.util.files import (
+    SecretPlace,
     environment_without_secrets,
     make_folder,
     named_path,
     read_all,
     read_input,
     read_secret,
+    redact_secrets,
+    require_new,
+    require_new_file,
     require_private,
     require_writable,
     require_writable_file,
@@ -357,6 +363,70 @@ def test_a_secret_that_group_or_others_may_read_or_change_is_refused_with_what_t
     assert read_secret("file:a token", tmp_path) == "s3cret"
     path.chmod(0o400)
     assert read_secret("file:a token", tmp_path) == "s3cret"
+
+
+class Keys(BaseModel):
+    token: SecretPlace
+
+
+@pytest.mark.parametrize("wrong", ["s3cret", "file:", "env: ", "http:s3cret", 7, None])
+def test_a_config_that_holds_a_secret_is_refused_without_repeating_it(wrong: Any) -> None:
+    with pytest.raises(ValidationError, match=r"say where it is kept: \"file:NAME\" .* or \"env:VARIABLE\"") as refused:
+        Keys(token=wrong)
+    assert "s3cret" not in refused.value.errors()[0]["msg"]
+
+
+def test_a_place_of_a_secret_stays_as_it_is() -> None:
+    assert [Keys(token=place).token for place in ("file:a token", "env:TOKEN")] == ["file:a token", "env:TOKEN"]
+
+
+def test_a_secret_that_cannot_be_read_is_refused_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "token"
+    with pytest.raises(ConfigError, match=r"^'file:token': cannot be read: .*No such file .*; write the secret there$"):
+        read_secret("file:token", tmp_path)
+    for content, what in (
+        (b"s3cret \xff", r"^'file:token': .*token is no UTF-8 text; write the secret there$"),
+        (b" \n", r"^'file:token': holds no secret \(one line of text\)"),
+        (b"two\nlines", r"^'file:token': holds no secret \(one line of text\)"),
+    ):
+        path.write_bytes(content)
+        path.chmod(0o600)
+        with pytest.raises(ConfigError, match=what) as refused:
+            read_secret("file:token", tmp_path)
+        assert "s3cret" not in str(refused.value)
+    monkeypatch.delenv("TOKEN", raising=False)
+    with pytest.raises(ConfigError, match=r"^'env:TOKEN': holds no secret"):
+        read_secret("env:TOKEN", tmp_path)
+    monkeypatch.setenv("TOKEN", " s3cret\n")
+    assert read_secret("env:TOKEN", tmp_path) == "s3cret"
+
+
+def test_a_log_has_no_secret() -> None:
+    assert redact_secrets("GET /?a=s3cret&b=p4ss s3cret", "s3cret", "", "p4ss") == "GET /?a=***&b=*** ***"
+    assert redact_secrets("nothing", "") == "nothing"
+
+
+def test_a_new_file_takes_the_place_of_none_without_force(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    require_new_file(path, force=False)
+    path.touch()
+    with pytest.raises(ConfigError, match=r"cell\.toml: exists already; name another file, or say --force"):
+        require_new_file(path, force=False)
+    require_new_file(path, force=True)
+
+
+def test_a_new_folder_is_none_that_holds_anything(tmp_path: Path) -> None:
+    folder, file = tmp_path / "cell", tmp_path / "file"
+    require_new(folder)
+    folder.mkdir()
+    require_new(folder)
+    (folder / "a").touch()
+    file.touch()
+    for taken in (folder, file):
+        with pytest.raises(ConfigError, match="exists already; name a new folder with --out"):
+            require_new(taken)
 
 
 def test_what_to_run_takes_nothing_from_the_owner(tmp_path: Path) -> None:

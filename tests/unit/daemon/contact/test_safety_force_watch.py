@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from polishd.daemon.contact.contact_record import ContactRecord
-from polishd.daemon.contact.safety import contact
+from polishd.daemon.contact.force_check import ForceCheck
+from polishd.daemon.contact.safety import contact, watch_force_signals
 from polishd.model.devices import ForceSample, SensedForce, SensorTimes
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
 from tests.fakes.devices import FakeCell, FakeForceSensor
@@ -67,6 +71,47 @@ async def test_a_sensor_that_is_dead_by_then_does_not_hide_why(fake: FakeCell, s
     fake.robot.acts.before["make_safe"] = die
     with pytest.raises(ForcesApart, match=r"the force sensor left the set point first$"):
         await polish_for(fake, 5.0, LIMITS)
+
+
+async def test_nor_does_one_whose_readings_ended(
+    fake: FakeCell, sensor: FakeForceSensor, caplog: pytest.LogCaptureFixture
+) -> None:
+    sensor.reads = lambda r: replace(r, force_n=r.force_n - 2.0) if "pressing" in fake.events else r
+
+    async def none() -> AsyncIterator[SensedForce]:
+        return
+        yield
+
+    fake.robot.acts.before["make_safe"] = lambda: setattr(sensor, "samples", none)
+    with pytest.raises(ForcesApart, match=r"the force sensor left the set point first$"):
+        await polish_for(fake, 5.0, LIMITS)
+    assert "could not be read again: its samples ended" in caplog.text
+
+
+class OverLimit:
+    """A force check that stops at every value of a monitor."""
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+
+    def monitor(self, name: str, _at_s: float, force_n: float) -> None:
+        self.values.append(force_n)
+        raise SafetyStop(f"{name} reads {force_n:g} N")
+
+
+async def test_a_force_signal_ends_contact_once_and_only_while_it_lasts(fake: FakeCell) -> None:
+    forces, touch = OverLimit(), SimpleNamespace(left="")
+    watch = asyncio.ensure_future(watch_force_signals(fake.cell, cast(ForceCheck, forces), cast(ContactRecord, touch)))
+    await asyncio.sleep(0)
+    touch.left = "left"
+    fake.cell.signals.on_force("load cell", 1.0)
+    touch.left = ""
+    fake.cell.signals.on_force("load cell", 2.0)
+    fake.cell.signals.on_force("load cell", 3.0)
+    with pytest.raises(SafetyStop, match="load cell reads 2 N"):
+        await watch
+    fake.cell.signals.on_force("load cell", 4.0)
+    assert forces.values == [2.0]
 
 
 def _raises(_: SensedForce) -> SensedForce:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import random
 import shutil
 import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from polishd.daemon.journal import store as journal_schema
 from polishd.daemon.journal.checksums import KEYS, CommitRecord, row_crc
 from polishd.daemon.journal.journal import JOURNAL_NAME, Journal
 from polishd.daemon.journal.records import BlockRecord
-from polishd.daemon.journal.store import Store, connect
+from polishd.daemon.journal.store import Store, connect, require_sound
 from polishd.daemon.queue.queue import Queue
 from polishd.daemon.runtime.exit_record import last_ending
 from polishd.daemon.socket.client import request
@@ -333,15 +335,21 @@ def test_texts_of_any_kind_have_a_checksum(tmp_path: Path) -> None:
 
 
 def test_a_large_journal_is_checked_from_its_newest_rows_on(
-    left: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    left: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.INFO)
     state = copied(left["closed"], tmp_path / "state")
     path = state / JOURNAL_NAME
     definitions = {journal_schema.SCHEMA_VERSION: journal_schema._definitions()}
+    require_sound(path)
+    assert "only the newest rows" not in caplog.text
     assert checksums.check_journal(path, definitions).is_complete
     monkeypatch.setattr(checksums, "ROWS_PER_LOOK", 10)
     found = checksums.check_journal(path, definitions, within_s=-1.0)
     assert (found.damage, found.is_complete) == (None, False)
+    monkeypatch.setattr(journal_schema, "check_journal", partial(checksums.check_journal, within_s=-1.0))
+    require_sound(path)
+    assert "only the newest rows were checked: a complete check takes longer than" in caplog.text
     used(state)
 
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from polishd.daemon.journal import store as journal_store
 from polishd.daemon.journal.store import COMMIT_ROWS, LATE_S, Row, Store
-from polishd.model.errors import SafetyStop
+from polishd.model.errors import ConfigError, SafetyStop
 
 
 def event(number: int) -> Row:
@@ -257,3 +260,32 @@ def test_a_loss_at_the_end_is_reported_and_the_file_is_closed_all_the_same(store
     with pytest.raises(sqlite3.ProgrammingError, match="closed"):
         store._connection.execute("SELECT 1")
     store.close()
+
+
+def test_a_store_that_cannot_begin_its_commit_record_is_not_opened(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[sqlite3.Connection] = []
+
+    def connect(*arguments: Any, **named: Any) -> sqlite3.Connection:
+        opened.append(sqlite3.connect(*arguments, **named))
+        return opened[-1]
+
+    def fails(*_: object) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(journal_store.CommitRecord, "write", fails)
+    with pytest.raises(ConfigError, match=r"journal\.sqlite: the journal cannot be used: .*error\. Leave the file"):
+        Store.open(path, connect)
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        opened[-1].execute("SELECT 1")
+
+
+def test_a_thread_without_memory_is_a_loss(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails() -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(store, "write", fails)
+    for k in range(COMMIT_ROWS):
+        store.buffer(event(k))
+    store._thread.join()
+    with pytest.raises(SafetyStop, match="the daemon has run out of memory"):
+        store.require_in_time()
