@@ -60,17 +60,21 @@ class Tests:
 
         The tests of the module come first, by their file's name; quick tests precede slow ones.
         """
-        lines = self._of[module]
-        asked = lines if mutant.unit_line is None else mutant.lines
+        lines, at_import = self._of[module], self.at_import(module, mutant)
+        asked = lines if at_import else mutant.lines
         found = {nodeid for line in asked for nodeid in lines.get(line, ())}
         own = f"/test_{Path(module).stem.partition('_')[0]}"
-        if mutant.unit_line is None:
+        if at_import:
             found |= {
                 nodeid for nodeid in self.seconds if own in nodeid
             }  # a test that reads a table runs no line of it
         order = sorted(found, key=lambda nodeid: (own not in nodeid, self.seconds[nodeid], nodeid))
         ends_s = itertools.accumulate(self.seconds[nodeid] for nodeid in order)
         return [nodeid for nodeid, end_s in zip(order, ends_s, strict=True) if end_s <= within_s]
+
+    def at_import(self, module: str, mutant: Mutant) -> bool:
+        """Return whether the mutant's code runs at import only: that of the module, or a function that no test runs."""
+        return mutant.unit_line is None or not any(self._of[module].get(line) for line in mutant.lines)
 
 
 class Campaign:
@@ -95,7 +99,7 @@ class Campaign:
         """Yield the mutants whose end is unknown; those that no test runs have survived."""
         for name, module in self.modules.items():
             for mutant in module.mutants():
-                if (mutant.unit_line is None) is not at_import:
+                if self.tests.at_import(name, mutant) is not at_import:
                     continue
                 tests = self.kept.still_to_run(
                     mutant, self.tests.of(name, mutant, self.options.seconds), again=self.options.again
