@@ -374,20 +374,23 @@ async def test_a_device_at_fault_between_passes_holds_the_same_job(hall: Hall) -
     await hall.task
     assert hall.polished == ["a", "a", "b"]
     assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
+    assert hall.fake.of("loader.load") == ["loader.load P-a", "loader.load P-a", "loader.load P-b"], "asked for again"
 
 
 async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_under_the_robot(hall: Hall) -> None:
-    hall.add("a", "b").fake.with_loader()
+    hall.add("a", "b", "c").fake.with_loader()
     hall.ends["a"] = [torn(SafetyStop("force"))]
     await hall.start(until_empty=True)
     await hall.until("held")
-    assert hall.verdicts() == {"a": "set aside", "b": "under way"}
+    assert hall.verdicts() == {"a": "set aside", "b": "under way", "c": "waiting"}
     assert IN_THE_WAY in hall.daemon.reason
     assert hall.fake.of("loader.load") == ["loader.load P-a"]
+    ((ended,),) = hall.journal.store.read("SELECT ended IS NOT NULL FROM pass")
+    assert ended, "the pass is settled before the job ends"
     await hall.order("resume")
     await hall.task
-    assert hall.fake.of("loader.load") == ["loader.load P-a", "loader.load P-b"]
-    assert hall.verdicts()["b"] == "accepted"
+    assert hall.fake.of("loader.load") == ["loader.load P-a", "loader.load P-b", "loader.load P-c"], "asked once"
+    assert hall.verdicts()["c"] == "accepted"
 
 
 @pytest.mark.parametrize("order", ["hold", "unfit"])
@@ -622,6 +625,63 @@ async def test_a_part_is_changed_for_a_job_only(hall: Hall) -> None:
     await hall.build()
     with pytest.raises(RuntimeError, match="no job is under way"):
         await hall.daemon._change()
+
+
+async def test_a_lost_contact_is_published_at_once_and_a_lost_journal_hides_no_error(hall: Hall) -> None:
+    await hall.build()
+    hall.fake.cell.on_broken(SafetyStop("force 40 N"))
+    ((found,),) = (hall.events("contact_aborted"),)
+    assert (found["error"], found["kind"]) == ("force 40 N", "SafetyStop")
+
+    def lost(_: Event) -> None:
+        raise SafetyStop("journal lost")
+
+    hall.bus.publish = lost  # type: ignore[method-assign]
+    hall.fake.cell.on_broken(SafetyStop("force 40 N"))
+
+
+@pytest.mark.parametrize("late", [LinkError("no answer"), OSError("wire")])
+async def test_an_error_as_the_cell_is_closed_is_noted_at_the_one_that_ended_the_daemon(
+    hall: Hall, monkeypatch: pytest.MonkeyPatch, late: Exception
+) -> None:
+    async def close(_: Any) -> None:
+        raise late
+
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [LinkError("gone")]
+    monkeypatch.setattr(type(hall.fake.cell), "close", close)
+    with pytest.raises(LinkError, match="gone") as ended:
+        await hall.run(holds=False)
+    assert ended.value.__notes__ == [f"and then: {late}"]
+
+
+async def test_an_emergency_stays_one_whatever_is_commanded_after_it(hall: Hall) -> None:
+    hall.fake.with_loader()
+    await hall.start()
+    await hall.until("idle")
+    await hall.order("estop")
+    await hall.order("hold", reason="looked at")
+    assert hall.fake.cell.emergency
+    await hall.end()
+
+
+async def test_the_reason_of_a_stop_and_the_run_folder_are_in_the_last_facts(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    await hall.build(until_empty=True)
+    assert "run_dir" not in hall.daemon.exit_facts(Outcome.STOPPED, None)
+
+    async def never(_job: Job) -> None:
+        await asyncio.Event().wait()
+
+    hall.ends["a"] = [never]
+    hall.task = asyncio.ensure_future(hall.daemon.run())
+    await hall.until("polishing")
+    await hall.order("hold", reason="cleaning")
+    assert hall.daemon.exit_facts(Outcome.STOPPED, None)["run_dir"] == str(hall.tmp_path / "runs" / "a")
+    stopping = asyncio.ensure_future(hall.order("stop", reason="the shift ends"))
+    assert await hall.task is Outcome.STOPPED
+    stopping.cancel()
+    assert "the shift ends; held by command: cleaning" in hall.daemon.reason
 
 
 # orders
