@@ -102,6 +102,7 @@ def test_an_actuator_that_feels_nothing_and_presses_on_is_stopped_while_it_lands
         (0.0, 3.0, r"the force sensor reads 3.00 N and the actuator none \(0.00 N\) for more than 0.2 s"),
         (3.0, 0.4, r"the actuator reads 3.00 N and the force sensor none \(0.40 N\)"),
         (-0.3, -3.0, r"the force sensor reads -3.00 N and the actuator none \(-0.30 N\)"),
+        (3.0, 0.5, r"the actuator reads 3.00 N and the force sensor none \(0.50 N\)"),
     ],
 )
 @pytest.mark.parametrize("landed", [False, True])
@@ -114,6 +115,69 @@ def test_a_force_that_only_one_of_them_feels_ends_landing_and_contact(
     with pytest.raises(ForcesApart, match=said):
         forces.read(actuator_n, sensor_n, 5.0, landed=landed)
     assert forces.at_s - began_s == pytest.approx(0.225, abs=0.026)
+
+
+def test_of_a_small_set_point_a_quarter_counts_as_none() -> None:
+    forces = Forces(set_n=1.0)
+    forces.read(0.0, 0.0, 1.0, landed=False)
+    with pytest.raises(ForcesApart, match=r"the actuator reads 1.50 N and the force sensor none \(0.25 N\)"):
+        forces.read(1.5, 0.25, 1.0, landed=False)
+
+
+def test_a_force_up_to_the_largest_difference_is_not_felt_by_one_alone(forces: Forces) -> None:
+    forces.read(1.0, 0.0, 5.0, landed=False)
+
+
+def patient(**delays: float) -> ForceCheck:
+    """A check with exact times: only the given delay ends within the test."""
+    times = {"alarm_delay_s": 60.0, "set_alarm_delay_s": 60.0} | delays
+    return ForceCheck(12.0, 1.0, times.pop("alarm_delay_s"), set_band=0.25, **times)
+
+
+def test_one_alone_may_feel_it_for_its_time_and_no_longer() -> None:
+    check = patient(delay_s=0.4)
+    check.actuator(1.0, 0.0)
+    check.sensor(1.0, 3.0, landed=False)
+    check.sensor(1.25, 3.0, landed=False)
+    check.actuator(1.5, 0.0)
+    with pytest.raises(ForcesApart, match=r"for more than 0.5 s"):
+        check.actuator(1.625, 0.0)
+
+
+def test_a_sensor_that_sent_nothing_since_is_not_the_one_that_feels_it() -> None:
+    check = patient(delay_s=0.4)
+    check.actuator(1.0, 0.0)
+    check.sensor(1.0, 3.0, landed=False)
+    check.actuator(1.75, 0.0)
+    check.actuator(2.75, 0.0)
+
+
+def test_both_may_disagree_for_the_delay_and_no_longer() -> None:
+    check = patient(alarm_delay_s=0.5)
+    check.actuator(1.0, 12.0)
+    check.sensor(1.0, 12.0, landed=True)
+    check.actuator(1.5, 14.0)
+    with pytest.raises(ForcesApart, match="the forces disagree"):
+        check.actuator(1.625, 14.0)
+
+
+def test_forces_that_never_agreed_disagree(forces: Forces) -> None:
+    with pytest.raises(ForcesApart, match="the forces disagree"):
+        forces.read(12.0, 14.0, 1.0)
+
+
+def test_a_reading_half_the_largest_difference_away_is_at_the_set_point(forces: Forces) -> None:
+    forces.read(12.0, 12.5, 1.0)
+    with pytest.raises(ForcesApart, match="the force sensor left the set point first"):
+        forces.read(12.0, 14.0, 1.0)
+
+
+def test_a_sensor_may_be_off_the_set_point_for_the_delay_and_no_longer() -> None:
+    check = patient(set_alarm_delay_s=0.5)
+    check.sensor(1.0, 12.0, landed=True)
+    check.sensor(1.5, 6.0, landed=True)
+    with pytest.raises(ForcesApart, match=r"by the force sensor 6.00 N is outside 12 N \+- 25% for more than 0.5 s"):
+        check.sensor(1.625, 6.0, landed=True)
 
 
 def test_a_force_that_one_of_them_feels_first_is_none(forces: Forces) -> None:
@@ -176,6 +240,50 @@ def test_a_rise_that_would_pass_it_before_the_next_reading_counts() -> None:
     assert readings([18.0, 18.0]) == "", "up to it, and no farther"
 
 
+def ceiling_at(*readings: tuple[float, float]) -> str:
+    """Why the last of these readings (time, force) ends contact, and empty where it does not."""
+    ceiling = make_ceiling()
+    for at_s, force_n in readings[:-1]:
+        ceiling.check(at_s, force_n)
+    try:
+        ceiling.check(*readings[-1])
+    except SafetyStop as stop:
+        return str(stop)
+    return ""
+
+
+STEADY = [(float(at_s), 12.0) for at_s in range(6)]
+"""A reading a second: another 0.25 s later would be followed four times as far."""
+
+
+def test_only_a_rise_above_the_band_counts() -> None:
+    assert ceiling_at(*STEADY, (5.25, 15.0)) == "", "up to the band's end"
+    assert "rises by" in ceiling_at(*STEADY, (5.25, 15.125))
+
+
+def test_a_small_rise_counts_near_the_limit() -> None:
+    assert "rises by" in ceiling_at(*((at_s, 16.75) for at_s, _ in STEADY), (5.25, 17.5))
+
+
+def test_a_rise_up_to_the_limit_does_not_pass_it() -> None:
+    assert readings([12.0, 14.0, 16.0], 1.0) == ""
+
+
+def test_a_landing_begins_below_half_of_the_set_point() -> None:
+    assert readings([5.0, 16.0], 1.0) == "", "the tool has landed between the two"
+    assert "rises by 10 N/s" in readings([6.0, 16.0], 1.0)
+
+
+def test_a_rise_is_followed_twice_its_interval_at_most() -> None:
+    assert ceiling_at(*((at_s, 15.125) for at_s, _ in STEADY), (5.25, 16.0)) == ""
+
+
+def test_the_last_five_intervals_count() -> None:
+    """Of more than five, or of six, the median would be that of the slow readings before."""
+    quick = [(5.25, 12.0), (5.5, 14.0), (5.75, 16.0)]
+    assert ceiling_at((-1.0, 12.0), *STEADY, *quick) == ""
+
+
 def test_readings_that_come_together_do_not_make_a_steep_rise_of_noise() -> None:
     ceiling = make_ceiling()
     for number in range(5):
@@ -197,8 +305,19 @@ def test_who_else_reads_what_is_said() -> None:
     check.actuator(1.0, 12.0)
     with pytest.raises(SafetyStop, match=r"the force sensor reads 49.00 N; .*; the actuator reads 12.00 N"):
         check.sensor(1.01, 49.0, landed=True)
-    with pytest.raises(SafetyStop, match=r"the signal load_cell reads 20.00 N"):
+    check.sensor(1.01, 12.5, landed=True)
+    with pytest.raises(SafetyStop) as stop:
         check.monitor("load_cell", 1.02, 20.0)
+    assert str(stop.value) == (
+        "the signal load_cell reads 20.00 N; at most 18 N may act (process.force_max_n), the set point is 12 N; the "
+        "actuator reads 12.00 N; the force sensor reads 12.50 N. Check the actuator, and the part for an obstacle"
+    )
+    with pytest.raises(SafetyStop, match=r"the set point is 12 N; the force sensor reads 12.50 N\. Check"):
+        check.actuator(1.03, 20.0)
+
+
+def test_without_another_device_no_other_reading_is_said() -> None:
+    assert "the set point is 12 N. Check the actuator" in readings([20.0])
 
 
 def test_a_landing_is_steep_and_no_disagreement(forces: Forces) -> None:
@@ -241,6 +360,8 @@ def test_after_landing_too_low_counts() -> None:
         (0.1, -2.9, "the force sensor is probably wrong"),
         (0.1, 0.1, "does not show which of them is wrong. Check both with a weight"),
         (2.0, 2.0, "does not show which of them is wrong"),
+        (0.5, 0.0, "does not show which of them is wrong"),
+        (0.0, -0.5, "does not show which of them is wrong"),
     ],
 )
 def test_who_does_not_read_zero_where_the_force_is_zero_is_suspected(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from polishd.daemon.cell import time_limits
-from polishd.daemon.contact.safety import contact, run_to_completion
+from polishd.daemon.contact.safety import contact, reraise_after_safe, run_to_completion
 from polishd.model.devices import ActuatorTimes, RobotTimes
 from polishd.model.errors import DeviceFault, LinkError
 from tests.fakes.devices import FakeCell
@@ -148,6 +148,72 @@ async def test_why_contact_is_left_is_reported_before_a_device_has_confirmed() -
     fake.spindle.ends = False
     await polish_for(fake)
     assert fake.cell.leaving == "", "of the contact before"
+
+
+@pytest.mark.parametrize("before", ["landing", "leaving"])
+async def test_every_error_over_which_contact_ends_is_reported(before: str) -> None:
+    fake, errors = FakeCell(), list[str]()
+    fake.cell.on_broken = lambda error: errors.append(str(error))
+    if before == "landing":
+        fake.spindle.acts.fails["set_speed"] = DeviceFault("spindle: broken")
+        with pytest.raises(DeviceFault):
+            await polish_for(fake)
+        assert errors == ["spindle: broken"]
+        return
+    with pytest.raises(LinkError):
+        async with contact(fake.cell, LIMITS, unused_record()):
+            raise LinkError("the robot is gone")
+    assert errors == ["the robot is gone"]
+
+
+async def test_it_is_reported_while_the_pass_has_not_ended_yet() -> None:
+    fake, order = FakeCell(), list[str]()
+    fake.cell.on_broken = lambda error: order.append("reported")
+
+    async def slow() -> None:
+        async with contact(fake.cell, LIMITS, unused_record()):
+            fake.events.append("pressing")
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await asyncio.sleep(0.01)
+                order.append("ended")
+
+    task = asyncio.ensure_future(slow())
+    await until(fake, "pressing")
+    fake.spindle.ends = True
+    with pytest.raises(LinkError, match="samples ended"):
+        await task
+    assert order == ["reported", "ended"]
+
+
+async def test_memory_for_the_way_out_is_kept_before_anything_presses(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake, taken = FakeCell(), list[list[str]]()
+
+    class Reserve:
+        def take(self) -> None:
+            taken.append([*fake.events])
+
+    monkeypatch.setattr("polishd.daemon.contact.safety.RESERVE", Reserve())
+    await polish_for(fake, 0.1)
+    assert taken == [[]]
+
+
+def test_no_speed_override_is_too_low_where_the_cell_sets_no_limit() -> None:
+    assert LIMITS.least_override == 0.0
+
+
+@pytest.mark.parametrize(("error", "raised"), [(asyncio.CancelledError(), True), (LinkError("gone"), False)])
+def test_a_cancellation_takes_the_place_of_a_cancellation_only(error: BaseException, raised: bool) -> None:
+    def left() -> None:
+        with reraise_after_safe(error):
+            raise asyncio.CancelledError
+
+    if raised:
+        with pytest.raises(asyncio.CancelledError):
+            left()
+    else:
+        left()
 
 
 async def test_an_order_is_no_error_over_which_contact_is_left() -> None:

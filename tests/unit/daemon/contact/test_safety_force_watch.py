@@ -12,8 +12,13 @@ import pytest
 
 from polishd.daemon.contact.contact_record import ContactRecord
 from polishd.daemon.contact.force_check import ForceCheck
-from polishd.daemon.contact.safety import contact, watch_force_signals
-from polishd.model.devices import ForceSample, SensedForce, SensorTimes
+from polishd.daemon.contact.safety import (
+    _latest_readings,
+    contact,
+    diagnose_force_disagreement,
+    watch_force_signals,
+)
+from polishd.model.devices import ActuatorTimes, ForceSample, SensedForce, SensorTimes
 from polishd.model.errors import DeviceFault, ForcesApart, LinkError, SafetyStop
 from tests.fakes.devices import FakeCell, FakeForceSensor
 from tests.unit.daemon.contact.test_safety import LIFTED, SAFE, polish_for, unused_record
@@ -114,6 +119,71 @@ async def test_a_force_signal_ends_contact_once_and_only_while_it_lasts(fake: Fa
     assert forces.values == [2.0]
 
 
+async def test_both_are_read_again_once_the_sensor_shows_the_lift(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.times = SensorTimes(delay_s=0.05)
+    loop, read_at_s = asyncio.get_running_loop(), list[float]()
+    began_s = loop.time()
+    sensor.reads = lambda reading: read_at_s.append(loop.time()) or reading
+    found = await diagnose_force_disagreement(fake.cell, ForcesApart("apart"), 1.0)
+    assert str(found).startswith("apart; with the tool up the actuator reads ")
+    assert read_at_s[0] >= began_s + 0.05
+
+
+async def test_a_sensor_that_is_silent_by_then_is_not_waited_for(
+    fake: FakeCell, sensor: FakeForceSensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("polishd.daemon.contact.safety.ANSWERS_S", 0.01)
+    sensor.times, sensor.silent = SensorTimes(delay_s=0.0), True
+    error = ForcesApart("apart")
+    assert await diagnose_force_disagreement(fake.cell, error, 1.0) is error
+
+
+async def test_without_a_sensor_nothing_is_read_again(fake: FakeCell, caplog: pytest.LogCaptureFixture) -> None:
+    error = ForcesApart("apart")
+    assert await diagnose_force_disagreement(fake.cell, error, 1.0) is error
+    assert caplog.messages == []
+
+
+async def test_its_readings_are_shown_and_it_counts_as_answering(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    answered: list[bool] = []
+
+    def read(reading: SensedForce) -> SensedForce:
+        if "pressing" in fake.events:
+            answered.append("force_sensor" in fake.cell.answered_s)
+            fake.cell.answered_s.pop("force_sensor", None)
+        return reading
+
+    sensor.reads = read
+    await polish_for(fake, 1.0, LIMITS)
+    assert fake.cell.live.sensed is not None
+    assert fake.cell.live.speed is not None
+    assert answered[0], "it answered the tare"
+    assert all(answered[1:])
+    assert len(answered) > 2
+
+
+async def test_a_landing_in_vain_says_what_both_read_last(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    fake.actuator.times = ActuatorTimes(landing_s=0.05)
+    fake.actuator.reads = lambda s: replace(s, force_n=3.0, in_contact=True)
+    sensor.reads = lambda r: replace(r, force_n=2.5)
+    with pytest.raises(SafetyStop, match=r"; the actuator reads 3.00 N, on the part; the force sensor 2.50 N\. Check"):
+        await polish_for(fake, 1.0, replace(LIMITS, apart_n=5.0))
+
+
+def test_only_what_was_read_is_said_of_a_landing(fake: FakeCell) -> None:
+    fake.cell.live.sensed = SensedForce(0.0, 2.0)
+    assert _latest_readings(fake.cell) == "", "of the job before, which had a sensor"
+    fake.cell.live.sensed = None
+    fake.with_force_sensor()
+    assert _latest_readings(fake.cell) == ""
+
+
+async def test_the_two_have_the_sensors_delay_to_agree(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.times = SensorTimes(delay_s=0.5)
+    async with contact(fake.cell, LIMITS, unused_record()) as forces:
+        assert forces.one_sided_s == pytest.approx(0.6)
+
+
 def _raises(_: SensedForce) -> SensedForce:
     raise LinkError("force sensor: gone")
 
@@ -205,6 +275,44 @@ async def test_a_zero_that_moved_since_the_last_contact_is_refused(fake: FakeCel
     with pytest.raises(DeviceFault, match=r"force_sensor: reads -1.20 N with the tool up, and was 0 there"):
         await polish_for(fake, 0.1, LIMITS)
     assert "actuator.set_force 12" not in fake.events, "nothing was pressed"
+
+
+async def test_a_zero_that_moved_by_no_more_than_the_largest_difference_is_none(
+    fake: FakeCell, sensor: FakeForceSensor
+) -> None:
+    await polish_for(fake, 0.1, LIMITS)
+    fake.events.clear()
+    sensor.reads = lambda r: r if "force_sensor.tare" in fake.events else replace(r, force_n=-1.0)
+    await polish_for(fake, 0.1, LIMITS)
+
+
+async def test_a_sensor_that_reports_a_fault_is_not_tared(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.reads = lambda r: replace(r, fault=2)
+    with pytest.raises(DeviceFault, match=r"force sensor: fault bits 0x0002"):
+        await polish_for(fake, 0.1, LIMITS)
+    assert "force_sensor.tare" not in fake.events
+    assert "spindle.set_speed 1000" not in fake.events
+
+
+async def test_a_sensor_that_ends_its_readings_is_silent(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    async def none() -> AsyncIterator[SensedForce]:
+        return
+        yield
+
+    sensor.samples = none  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match="its samples ended"):
+        await polish_for(fake, 0.1, LIMITS)
+
+
+async def test_a_tare_has_its_time_and_that_of_an_answer(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    sensor.times, plain = SensorTimes(tare_s=0.0), sensor.tare
+
+    async def slow() -> None:
+        await asyncio.sleep(0.01)
+        await plain()
+
+    sensor.tare = slow  # type: ignore[method-assign]
+    await polish_for(fake, 0.1, LIMITS)
 
 
 async def test_what_hangs_on_it_is_not_known_at_first_nor_after_a_person_was_there(

@@ -7,25 +7,31 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from polishd.config.cell import CellConfig, load_config
 from polishd.daemon.cell.cell import Cell
-from polishd.daemon.cell.time_limits import LOOK_S, TimeLimits
+from polishd.daemon.cell.time_limits import LOOK_S, TimeLimits, late_s
 from polishd.daemon.contact.progress import FIRST_POINTS, MOST_OVERHEAD_S, STEP_S, ProgressLimits
 from polishd.daemon.contact.stall_removal import (
+    NO_TOLERANCE_NM,
     StallRemoval,
+    excess_map,
     peak_nm_s,
     require_held_motion,
     require_stall_depth,
     round_up,
     stall_removal,
+    timing_uncertainty_s,
+    tolerance_nm,
 )
 from polishd.model.devices import ActuatorTimes, RobotTimes, SpindleTimes
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
+from polishd.pipeline.recipe import Recipe
 from polishd.pipeline.steps import envelope_of
-from polishd.process.robot.motion import delivered_time_s
+from polishd.process.robot.motion import delivered_time_s, least_time_s
 from tests.unit.daemon.contact.test_progress import Run, excess_of, plan_of
 from tests.unit.daemon.small_job import small_recipe
 
@@ -53,8 +59,71 @@ def test_no_standstill_is_noticed_later_than_the_bound(points: int, knows_overhe
         assert stood_s <= bound.notice_s - bound.first_s + STEP_S + LOOK_S
 
 
+@pytest.mark.parametrize("encoding", ["feed", "dwell"])
+def test_a_standstill_is_noticed_after_the_longest_motion_what_a_point_costs_and_the_lateness(encoding: str) -> None:
+    recipe, program = small_recipe(), replace(plan_of().program, encoding=encoding)
+    moving_s = delivered_time_s(program, program.time_s, envelope_of(recipe, program))
+    if encoding == "dwell":  # the tool has to stand there meanwhile
+        moving_s = moving_s - program.time_s
+    longest_s = float(moving_s.max()) + MOST_OVERHEAD_S
+    bound = stall_removal(TIMES, recipe, program)
+    assert bound.notice_s == pytest.approx(longest_s + late_s(longest_s) + TIMES.no_progress_s)
+    assert stall_removal(TIMES, recipe, program, 7.0).notice_s == pytest.approx(longest_s + late_s(longest_s) + 7.0)
+    assert (bound.first_s, bound.release_s) == (MOST_OVERHEAD_S, TIMES.actuator.release_s)
+    assert bound.rate_nm_s == peak_nm_s(recipe)
+
+
+def lines(*limits: tuple[float, str]) -> Recipe:
+    """A recipe of which only the lines of the tolerance count."""
+    return cast(Recipe, SimpleNamespace(lines=[SimpleNamespace(limit=limit, unit=unit) for limit, unit in limits]))
+
+
+def test_the_tightest_limit_in_nm_is_the_tolerance() -> None:
+    assert tolerance_nm(lines((5.0, "nm"), (3.0, "nm"), (1.0, "urad"))) == 3.0
+    assert tolerance_nm(lines((1.0, "urad"))) is None
+
+
+def test_the_end_of_a_block_is_as_uncertain_as_the_robot_reports_it() -> None:
+    recipe = small_recipe()
+    assert timing_uncertainty_s(cell_with(), recipe) == ""
+    assert timing_uncertainty_s(cell_with(block_end_s=0.004), recipe) == (
+        f"4 ms rms, {0.004 * peak_nm_s(recipe):.1f} nm; it does not add up"
+    )
+
+
+def limits_of(most_nm: float | None, tolerance: float | None = 0.5) -> np.ndarray:
+    """The limits of excess removal along the path, where it is on the part."""
+    recipe = small_recipe(tolerance_nm=tolerance) if tolerance else small_recipe()
+    if tolerance is None:
+        recipe = cast(Recipe, Untolerated(recipe))
+    limit_nm = excess_map(recipe, plan_of(), most_nm)._limit_nm
+    assert np.isinf(limit_nm).any(), "beside the part nothing is judged"
+    return limit_nm[np.isfinite(limit_nm)]
+
+
+class Untolerated:
+    """A recipe whose tolerance has no line in nm."""
+
+    lines: tuple[Any, ...] = ()
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._recipe, name)
+
+
+def test_the_excess_may_be_half_of_the_tolerance_or_a_tenth_of_the_plan() -> None:
+    assert limits_of(None, 4000.0).min() == 2000.0
+    assert limits_of(None).max() > limits_of(None).min() >= 0.25, "a tenth of the removal that is planned there"
+    assert limits_of(None, None).min() == NO_TOLERANCE_NM / 2
+    np.testing.assert_array_equal(limits_of(7.0), 7.0)
+
+
 def test_facts_row_and_warning_state_the_same_pit() -> None:
     bound = StallRemoval(notice_s=0.5, first_s=0.25, release_s=0.1, rate_nm_s=20.0)
+    assert replace(bound, notice_s=0.12345).row()["seconds"] == 0.123
+    assert bound.row()["key"] == "", "no key of the config is this time"
     assert bound.facts() == {"notice_s": 0.5, "first_s": 0.25, "release_s": 0.1, "rate_nm_s": 20.0, "removal_nm": 12.0}
     row = bound.row()
     assert row["seconds"] == 0.5
@@ -105,7 +174,12 @@ def test_a_robot_with_few_instructions_must_hold_motion_for_the_lift(config: Cel
     program = plan_of().program
     assert require_held_motion(config, cell_with(), recipe, program) == "", "a robot that holds a whole program"
     said = require_held_motion(config, cell_with(held_instructions=2000), recipe, program)
-    assert said.startswith("at least ")
+    envelope = envelope_of(recipe, program)
+    as_programmed_s = delivered_time_s(program, program.time_s, envelope)
+    least_s = np.maximum(least_time_s(program, envelope), recipe.envelope.least_point_s)
+    sum_s = (as_programmed_s if objective == AS_PROGRAMMED else least_s).sum()
+    assert said.startswith(f"at least {sum_s:.2f} s in 2000 instructions; ")
+    assert f"{as_programmed_s.sum():.2f}" != f"{least_s.sum():.2f}"
     assert "in 2000 instructions; to lift the tool if the actuator stops answering" in said
     few = cell_with(held_instructions=3)
     needed_s = round_up(few.limits.held_motion_s / few.limits.held_points(program.encoding))

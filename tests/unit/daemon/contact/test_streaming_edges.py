@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
+from polishd.daemon.contact.progress import STEP_S, Progress, ProgressLimits
 from polishd.daemon.contact.streaming import CHUNK, STANDS, WATCH_S, Stream, streaming
-from polishd.model.devices import ExecutedBlock, RobotProgress, RobotState
+from polishd.model.devices import ExecutedBlock, RobotProgress, RobotState, RobotTimes
 from polishd.model.errors import DeviceRefused, SafetyStop
 from polishd.model.program import Segment
 from tests.fakes.devices import FakeCell
@@ -30,6 +31,7 @@ class Scripted:
         self.buffer_s = 9.0
         self.sent: list[Segment] = []
         self.slept_s: list[float] = []
+        self.override: float | None = None
         self.gains_s = 0.01
         """Motion time that each sent block adds; a sleep uses its duration of it."""
 
@@ -37,7 +39,7 @@ class Scripted:
         if not self.looks:
             raise Over
         state, executed = self.looks.pop(0)
-        return RobotProgress(state, "sha", 0, executed, self.buffer_s, "boot", "why")
+        return RobotProgress(state, "sha", 0, executed, self.buffer_s, "boot", "why", self.override)
 
     async def executed(self, from_seq: int = 0) -> AsyncIterator[ExecutedBlock]:
         assert from_seq == 0
@@ -58,9 +60,9 @@ class Scripted:
         self.buffer_s -= seconds
         await asyncio.sleep(0)
 
-    def stream(self, blocks: int = 20) -> Stream:
+    def stream(self, blocks: int = 20, **options: Any) -> Stream:
         robot: Any = self
-        return Stream(small_plan(blocks), robot, robot, LOOKAHEAD_S, LEAST_S)
+        return Stream(small_plan(blocks), robot, robot, LOOKAHEAD_S, LEAST_S, **options)
 
 
 async def looked(robot: Scripted, target: int | None = 10) -> int:
@@ -219,3 +221,123 @@ async def test_the_robot_is_asked_to_run_no_farther_than_each_landing_point() ->
     fake = FakeCell()
     await whole_pass(fake, small_plan(12, 2, 1))
     assert fake.of("robot.resume") == ["robot.resume 2", "robot.resume 11", "robot.resume None"]
+
+
+async def test_a_robot_whose_held_instructions_were_checked_may_hold_less_than_a_lift_takes() -> None:
+    fake = FakeCell()
+    fake.robot.block_s, fake.robot.takes = 0.00005, CHUNK
+    fake.robot.times = RobotTimes(held_instructions=8)
+    with pytest.raises(SafetyStop, match="cannot keep up"):
+        await whole_pass(fake, small_plan(1000), 0.04)
+    assert fake.robot.done >= 3, "the way to the part was run"
+
+
+@pytest.mark.parametrize(("lands", "looks"), [(True, 2), (False, 0)])
+async def test_two_looks_at_a_low_override_count_where_the_tool_lands_or_presses(lands: bool, looks: int) -> None:
+    robot = Scripted(*[("running", 5)] * 4)
+    robot.override = 0.5
+    stream = robot.stream(limits=ProgressLimits(least_override=0.95))
+    if lands:
+        stream._lands = True
+    with pytest.raises(SafetyStop if looks else Over):
+        await stream.watch()
+    assert 4 - len(robot.looks) == (looks or 4)
+    stream.leave()
+    robot.looks = [("running", 5)] * 4
+    with pytest.raises(Over):
+        await stream.watch()
+
+
+class Calls:
+    """Stands in for the progress of a pass, and records what it is told."""
+
+    def __init__(self, executed: int = 0, worst: float = 0.0) -> None:
+        self.executed, self.worst = executed, worst
+        self.all: list[tuple[Any, ...]] = []
+
+    def start(self, now_s: float) -> None:
+        self.all.append(("start", now_s))
+
+    def reported(self, executed: int, now_s: float) -> None:
+        self.all.append(("reported", executed, now_s))
+
+    def record(self, block: ExecutedBlock, now_s: float, *, in_contact: bool) -> None:
+        self.all.append(("record", block.seq, now_s, in_contact))
+
+    def look(self, now_s: float, *, in_contact: bool) -> None:
+        self.all.append(("look", now_s, in_contact))
+
+
+async def test_each_report_of_the_robot_is_handed_on_and_counts_for_its_progress() -> None:
+    robot, reports = Scripted(("running", 5), ("running", 6)), list[RobotProgress]()
+    stream = robot.stream(on_progress=reports.append)
+    calls: Any = Calls()
+    stream._progress = calls
+    with pytest.raises(Over):
+        await stream.watch()
+    assert [report.executed for report in reports] == [5, 6]
+    assert calls.all == [("reported", 5, WATCH_S), ("reported", 6, 2 * WATCH_S)]
+
+
+async def test_each_executed_block_counts_for_the_progress_of_its_part() -> None:
+    robot = Scripted()
+    stream, calls = robot.stream(), Calls()
+    spy: Any = calls
+    stream._progress = spy
+    blocks = stream.polish()
+    await anext(blocks)
+    assert calls.all == [("start", 0.0), ("record", 0, 0.0, True)]
+
+
+@pytest.mark.parametrize(("target", "looks"), [(6, 3), (5, 0), (None, 0)])
+async def test_its_progress_is_looked_at_while_it_has_blocks_to_run(target: int | None, looks: int) -> None:
+    robot = Scripted()
+    stream, calls = robot.stream(), Calls(executed=5)
+    spy: Any = calls
+    stream._progress, stream._target = spy, target
+    plain = robot.sleep
+
+    async def sleep(seconds: float) -> None:
+        if len(robot.slept_s) == 3:
+            raise Over
+        await plain(seconds)
+
+    robot.sleep = sleep  # type: ignore[method-assign]
+    with pytest.raises(Over):
+        await stream.advance()
+    assert calls.all == [("look", pytest.approx((k + 1) * STEP_S), False) for k in range(looks)]
+
+
+@pytest.mark.parametrize(("worst", "said"), [(0.0, []), (0.5, ["excess removal, at most 50% of its limit"])])
+async def test_what_a_pass_removed_beyond_its_plan_is_logged(
+    caplog: pytest.LogCaptureFixture, worst: float, said: list[str]
+) -> None:
+    caplog.set_level("INFO", "polishd.daemon.contact.streaming")
+    stream = Scripted().stream()
+    calls: Any = Calls(worst=worst)
+    stream._progress = calls
+    async for _ in stream.polish():
+        pass
+    assert caplog.messages == said
+
+
+async def test_a_stream_judges_its_excess_and_hands_reports_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fake, reports, given = FakeCell(), list[RobotProgress](), list[object]()
+    excess: Any = object()
+
+    def progress(plan: Any, limits: Any, excess: Any) -> Progress:
+        given.append(excess)
+        return Progress(plan, limits)
+
+    monkeypatch.setattr("polishd.daemon.contact.streaming.Progress", progress)
+    async with streaming(
+        small_plan(), fake.robot, fake.clock, 1.0, least_s=0.25, on_progress=reports.append, excess=excess
+    ) as stream:
+        await stream.approach()
+        fake.clock.advance(WATCH_S)
+        for _ in range(20):
+            await asyncio.sleep(0)
+    assert given == [excess]
+    assert reports[0].accepted == 20

@@ -19,13 +19,15 @@ import pytest
 from polishd.daemon.journal import store
 from polishd.daemon.journal.checksums import check_journal
 from polishd.daemon.journal.history import read_only
-from polishd.daemon.journal.journal import JOURNAL_NAME, NO_JOB, Journal
+from polishd.daemon.journal.journal import ARRAYS_NAME, JOURNAL_NAME, NO_JOB, Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.journal.store import OF_A_JOB, Store
+from polishd.model import events
 from polishd.model.devices import ExecutedBlock
-from polishd.model.errors import ConfigError, LinkError, PolishdError, SafetyStop
+from polishd.model.errors import ConfigError, JournalDamage, LinkError, PolishdError, SafetyStop
 from polishd.model.events import CellHeld, PlanWritten
 from polishd.model.states import CyclePhase, Outcome
+from polishd.plugin_loader import RENAMED
 from tests.unit.daemon.small_job import recorded_phases
 
 
@@ -587,6 +589,89 @@ def test_a_journal_of_format_6_that_is_only_read_shows_the_names_of_release_1(tm
         names = [name for (name,) in journal.execute("SELECT name FROM event ORDER BY id")]
     assert names == ["cell_held", "part_touched_off", "signal_out_of_range"]
     assert rows(tmp_path, "PRAGMA user_version") == [(6,)], "nothing is written"
+
+
+EVENTS_6 = (
+    "rate_offered", "job_begun", "part_wanted", "job_ended", "queue_ended", "opened", "state", "ordered",
+    "acknowledged", "contact_broken", "held", "failed", "measured", "repeated", "gate_stopped", "learned",
+    "signal_wrong", "found", "solved", "touched_off", "plan_waits", "approved", "pass_begun", "progress",
+    "job_finished",
+)  # fmt: skip
+
+
+def test_each_event_of_format_6_gets_the_name_of_a_present_one(tmp_path: Path) -> None:
+    of_format_6(tmp_path)
+    with closing(store.connect(tmp_path / "journal.sqlite")) as file:
+        file.execute("DELETE FROM event")
+        for number, name in enumerate(EVENTS_6):
+            sql = "INSERT INTO event (job, at, cycle, name, data) VALUES (1, ?, 0, ?, '{}')"
+            file.execute(sql, (float(number), name))
+    with opened(tmp_path):
+        pass
+    names = [str(name) for (name,) in rows(tmp_path, "SELECT name FROM event WHERE at < 100 ORDER BY at")]
+    assert len(set(names)) == len(EVENTS_6)
+    present = {getattr(one, "name", "") for one in vars(events).values() if isinstance(one, type)}
+    assert set(names) <= present
+
+
+def test_verdicts_plugins_and_terms_of_format_6_get_the_names_of_release_1(tmp_path: Path) -> None:
+    of_format_6(tmp_path)
+    old, new = next((old, new) for old, new in RENAMED.items() if old != new)
+    terms = {"process.rpm": 1.0, "plugins.load": [old, new, "mine"], "memory.tool": "bonnet 7"}
+    with closing(store.connect(tmp_path / "journal.sqlite")) as file:
+        file.execute("UPDATE job SET outcome = 'put aside', terms = ?", (json.dumps(terms),))
+        sql = (
+            "INSERT INTO queue (place, name, part_id, path, content, files, added, verdict) "
+            "VALUES (1, 'a', 'P', '', '', '{}', 0.0, 'put aside')"
+        )
+        file.execute(sql)
+    expected = {"estimates.tool": "bonnet 7", "plugins.load": [new, "mine"], "process.rpm": 1.0}
+    with read_only(tmp_path) as journal:
+        assert journal.execute("SELECT outcome, terms FROM job").fetchone() == (
+            "set aside", json.dumps(expected, sort_keys=True)
+        )  # fmt: skip
+        assert journal.execute("SELECT verdict FROM queue").fetchone() == ("set aside",)
+    with opened(tmp_path):
+        pass
+    ((outcome, kept),) = rows(tmp_path, "SELECT outcome, terms FROM job WHERE id = 1")
+    assert (outcome, kept) == ("set aside", json.dumps(expected, sort_keys=True))
+
+
+@pytest.mark.parametrize(
+    ("table", "column"), [("job", "terms"), ("map", "stats"), ("pass", "facts"), ("event", "data")]
+)
+def test_a_row_without_a_checksum_that_is_not_json_is_damage_with_its_place(
+    of_format_2: Path, table: str, column: str
+) -> None:
+    with closing(sqlite3.connect(of_format_2 / "journal.sqlite")) as file:
+        file.execute(f"UPDATE {table} SET {column} = '{{' WHERE rowid = (SELECT max(rowid) FROM {table})")
+        file.commit()
+    with pytest.raises(JournalDamage, match=rf"{column} of the row rowid = \d of {table} is not JSON"):
+        opened(of_format_2)
+
+
+def test_indexes_have_the_names_by_which_later_formats_drop_them(tmp_path: Path, journal: Journal) -> None:
+    names = {name for (name,) in rows(tmp_path, "SELECT name FROM sqlite_schema WHERE type = 'index' AND sql != ''")}
+    assert names == {"queue_of_name", "queue_to_do", "map_of_job", "phase_of_job", "event_of_job"}
+
+
+def test_what_is_not_said_of_a_map_or_a_pass_is_empty(tmp_path: Path) -> None:
+    with opened(tmp_path) as journal:
+        assert not journal.begun
+        journal.begin_pass(0, "prog", "boot", 3, facts={"count": np.int64(3), "path": [np.float64(0.5)]})
+        assert journal.begun, "a pass without a map"
+        journal.record_map(0, "cc", "x", {})
+        journal.begin_pass(1, "prog", "boot", 3, contact=(1, 2), plan="p", start="s")
+        first, second = journal.passes
+        assert (first.contact_from, first.contact_to, first.plan, first.start) == (0, 3, "", "")
+        assert first.facts == {"count": 3, "path": [0.5]}
+        assert (second.contact_from, second.contact_to, second.plan, second.start) == (1, 2, "p", "s")
+        assert journal.history[0].arrays == ""
+        journal.record_outcome(Outcome.IN_TOLERANCE)
+    assert rows(tmp_path, "SELECT detail FROM job") == [("",)]
+    with Journal.of_cell(tmp_path) as journal:
+        assert not journal.resumed
+    assert (tmp_path / "store").name == ARRAYS_NAME
 
 
 def committers() -> list[threading.Thread]:

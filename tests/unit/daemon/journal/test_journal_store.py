@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import os
 import sqlite3
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from polishd.daemon.journal import store as journal_store
-from polishd.daemon.journal.store import COMMIT_ROWS, LATE_S, Row, Store
+from polishd.daemon.journal.store import COMMIT_ROWS, COMMIT_S, LATE_S, Row, Store
 from polishd.model.errors import ConfigError, SafetyStop
 
 
@@ -262,7 +262,10 @@ def test_a_loss_at_the_end_is_reported_and_the_file_is_closed_all_the_same(store
     store.close()
 
 
-def test_a_store_that_cannot_begin_its_commit_record_is_not_opened(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [OSError(errno.EIO, "I/O error"), sqlite3.OperationalError("disk I/O error")])
+def test_a_store_that_cannot_begin_its_commit_record_is_not_opened(
+    path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
     opened: list[sqlite3.Connection] = []
 
     def connect(*arguments: Any, **named: Any) -> sqlite3.Connection:
@@ -270,7 +273,7 @@ def test_a_store_that_cannot_begin_its_commit_record_is_not_opened(path: Path, m
         return opened[-1]
 
     def fails(*_: object) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
+        raise error
 
     monkeypatch.setattr(journal_store.CommitRecord, "write", fails)
     with pytest.raises(ConfigError, match=r"journal\.sqlite: the journal cannot be used: .*error\. Leave the file"):
@@ -288,4 +291,60 @@ def test_a_thread_without_memory_is_a_loss(store: Store, monkeypatch: pytest.Mon
         store.buffer(event(k))
     store._thread.join()
     with pytest.raises(SafetyStop, match="the daemon has run out of memory"):
+        store.require_in_time()
+
+
+def test_a_full_buffer_is_committed_at_once(store: Store, path: Path) -> None:
+    """By the thread, which waits for more rows after the first one."""
+    store.buffer(event(0))
+    until_s = time.monotonic() + 10.0
+    while not store._pending._waiters and time.monotonic() < until_s:  # type: ignore[attr-defined]
+        time.sleep(0.001)
+    for number in range(1, COMMIT_ROWS):
+        store.buffer(event(number))
+    while len(durable(path)) < COMMIT_ROWS and time.monotonic() < until_s:
+        time.sleep(0.001)
+    assert len(durable(path)) == COMMIT_ROWS
+
+
+def test_each_commit_is_named_beside_the_journal(store: Store, path: Path) -> None:
+    record = journal_store.CommitRecord(path)
+    before = record.read()
+    assert before is not None
+    for number in range(1, 4):
+        store.write(event(number))
+        assert record.read() == (before[0], before[1] + number)
+    ((count,),) = store.read("SELECT count FROM commits")
+    assert record.read() == (before[0], count)
+
+
+def test_a_closed_store_leaves_no_file_open(store: Store, path: Path) -> None:
+    store.close()
+    still = [one.readlink() for one in Path("/proc/self/fd").iterdir() if one.is_symlink()]
+    assert not [one for one in still if one.is_relative_to(path.parent)]
+
+
+def test_the_longest_wait_for_a_commit_is_far_from_too_late() -> None:
+    assert COMMIT_S <= LATE_S / 8
+
+
+class Reserve:
+    """Memory that is kept for the way out."""
+
+    released = 0
+
+    def release(self) -> None:
+        self.released += 1
+
+
+def test_a_loss_for_want_of_memory_frees_the_reserve(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    reserve = Reserve()
+    monkeypatch.setattr(journal_store, "RESERVE", reserve)
+    store._fail(MemoryError())
+    assert reserve.released == 1
+
+
+def test_an_error_without_a_name_of_sqlite_is_said_alone(store: Store) -> None:
+    store._fail(sqlite3.Error("no cursor"))
+    with pytest.raises(SafetyStop, match=r"journal\.sqlite: no cursor; the daemon does not polish"):
         store.require_in_time()

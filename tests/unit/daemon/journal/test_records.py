@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from polishd.daemon.journal.journal import Journal
-from polishd.daemon.journal.records import BlockRecord
+from polishd.daemon.journal.records import BlockRecord, read_unreported_blocks
 from polishd.model.devices import ExecutedBlock
 from polishd.model.errors import PolishdError, WrongSeat
 from polishd.model.events import PlanWritten
@@ -270,3 +270,13 @@ def test_unnamed_records_are_empty_and_arrays_lie_beside_the_journal(tmp_path: P
     journal.begin_pass(0, "prog", "boot", 9)
     assert (journal.history[0].arrays, journal.passes[0].plan, journal.passes[0].start) == ("", "", "")
     assert (journal.arrays.folder, journal.store.path) == (tmp_path / "store", tmp_path / "journal.sqlite")
+
+
+def test_blocks_of_which_contact_is_unknown_are_ranges(tmp_path: Path, journal: Journal) -> None:
+    journal.begin_pass(0, "sha", "boot", 20, contact=(0, 20))
+    unknown = [(0, 2), (4, 5), (8, 11)]
+    seqs = [seq for first, end in unknown for seq in range(first, end)]
+    journal.record_executed(0, [block(seq, None if seq in seqs else True) for seq in range(12)])
+    assert agrees(tmp_path, journal)["uncertain"][0] == tuple(unknown)
+    assert journal._known.unknown[0] == unknown, "as few ranges as there are"
+    assert list(read_unreported_blocks(journal._store, journal.number, 0)) == unknown

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from polishd.daemon.journal import store
+from polishd.daemon.journal.checksums import Damage
 from polishd.daemon.journal.store import SCHEMA_VERSION, connect, copy_job, copy_whole, old_copy, open_file
-from polishd.model.errors import ConfigError
+from polishd.model.errors import ConfigError, JournalDamage
 
 
 class Opened:
@@ -109,7 +110,7 @@ def test_a_file_of_another_format_is_closed_and_stays(path: Path) -> None:
 def test_what_is_no_journal_may_go(path: Path) -> None:
     path.write_bytes(b"no database, and long enough to be asked for its header " * 20)
     opened = Opened()
-    with pytest.raises(ConfigError, match=r"the journal cannot be used: .*\. Move the file to another folder"):
+    with pytest.raises(JournalDamage, match=r"the journal cannot be used: .*\. Move the file to another folder"):
         open_file(path, opened)
     assert opened.closed()
 
@@ -125,8 +126,9 @@ def test_what_the_disk_refuses_stays_where_it_is(path: Path, monkeypatch: pytest
     opened = Opened()
     with pytest.raises(
         ConfigError, match=r"the journal cannot be used: .*\. Leave the file in place, and repair the disk"
-    ):
+    ) as refused:
         open_file(path, opened)
+    assert not isinstance(refused.value, JournalDamage)
     assert opened.closed()
 
 
@@ -185,3 +187,38 @@ def test_a_copy_that_fails_leaves_no_file_of_its_own_in_the_connection(
 
 def test_where_an_earlier_format_is_kept() -> None:
     assert old_copy(Path("/state/journal.sqlite"), 2) == Path("/state/journal.v2.sqlite")
+
+
+def test_the_tables_of_this_format_are_found_without_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    store._definitions.cache_clear()
+    assert "event" in store._definitions()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_only_a_whole_file_that_is_there_is_checked(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    checked: list[Path] = []
+
+    def fails(found: Path, _: object) -> None:
+        checked.append(found)
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(store, "check_journal", fails)
+    store.require_sound(path)
+    open_file(path).close()
+    path.with_name(f"{path.name}-journal").touch()
+    store.require_sound(path)
+    assert (checked, caplog.messages) == ([], []), "it is rolled back when it is opened"
+    path.with_name(f"{path.name}-journal").unlink()
+    store.require_sound(path)
+    assert checked == [path]
+    assert "the journal cannot be checked before it opens: [Errno 5] Input/output error" in caplog.text
+
+
+def test_a_row_is_advised_to_be_deleted_only_where_it_is_known(path: Path) -> None:
+    assert "DELETE FROM event WHERE rowid = 7" in store._remedy(path, Damage("x", "event", "rowid = 7"))
+    assert "DELETE" not in store._remedy(path, Damage("x", "event", ""))
+    assert "DELETE" not in store._remedy(path, Damage("x", "pass", "rowid = 7")), "passes depend on it"
