@@ -18,7 +18,7 @@ from polishd.daemon import job_runner as daemon_module
 from polishd.daemon.app import _serve
 from polishd.daemon.cycle import short_collections
 from polishd.daemon.job.job import Job
-from polishd.daemon.job_runner import IN_THE_WAY, JobRunner
+from polishd.daemon.job_runner import IN_THE_WAY, JobRunner, run_until_finished
 from polishd.daemon.job_source import QueuedJobs
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
@@ -829,6 +829,327 @@ async def test_a_job_that_stays_open_has_a_summary_and_the_end_is_reported(hall:
     assert [concern.severity for event in concerns if (concern := event.concern())] == [
         Severity.INFO if ends is None else Severity.ALARM
     ]
+
+
+# what is reported, kept and refused
+
+
+async def never(_job: Job) -> None:
+    """Polish until a command comes."""
+    await asyncio.Event().wait()
+
+
+def summary(hall: Hall, job: str) -> dict[str, Any]:
+    """The summary in the run folder of a job."""
+    found: dict[str, Any] = json.loads((hall.tmp_path / "runs" / job / "summary.json").read_text())
+    return found
+
+
+def fault_of(hall: Hall, job: str) -> tuple[str, str]:
+    """Kind of the fault over which a job of the queue ended, and why it did."""
+    ((fault, reason),) = hall.journal.store.read("SELECT fault, reason FROM queue WHERE name = ?", (job,))
+    return str(fault), str(reason)
+
+
+async def test_the_summary_of_each_job_says_how_and_why_it_ended(hall: Hall) -> None:
+    hall.add("a", "b", "c", "d").fake.with_loader()
+    hall.ends = {"a": [Outcome.IN_TOLERANCE], "b": [MapError("x")], "c": [never], "d": [RemovalCheckStop("turned")]}
+    await hall.start()
+    await hall.wait(lambda: hall.polished == ["a", "b", "c"])
+    await hall.order("hold")
+    await hall.order("queue_remove", job="c", reason="it  fell", by="anna")
+    await hall.wait(lambda: hall.polished == ["a", "b", "c", "d"])
+    await hall.until("held")
+    found = {name: summary(hall, name) for name in "abcd"}
+    assert [(one["job"], one["verdict"], one["outcome"]) for one in found.values()] == [
+        ("a", "accepted", "in_tolerance"),
+        ("b", "set aside", "failed"),
+        ("c", "set aside", "set aside"),
+        ("d", "set aside", "failed"),
+    ]
+    assert [one["reason"] for one in found.values()] == [
+        "the part is in tolerance",
+        "MapError: x",
+        "it fell",
+        "RemovalCheckStop: turned",
+    ]
+    stops = "instrument or alignment is wrong, also for the next part"
+    assert [one["next"] for one in found.values()] == ["", "", "", stops]
+    assert found["a"]["notes"] == []
+    assert [found[name]["notes"][-1] for name in "bcd"] == ["MapError: x", "it fell", "RemovalCheckStop: turned"]
+    (removed,) = [one for one in hall.events("command_received") if one["order"] == "queue_remove"]
+    assert (removed["reason"], removed["by"]) == ("c: it fell", "anna")
+    assert fault_of(hall, "c") == ("", "it fell"), "no fault held it"
+    await hall.end()
+
+
+async def test_a_job_that_is_removed_without_a_reason_says_over_what_it_was_held(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends = {"a": [LinkError("gone")], "b": [never]}
+    await hall.start()
+    await hall.until("held")
+    await hall.order("queue_remove", job="a")
+    assert fault_of(hall, "a") == ("LinkError", "set aside by an operator, held over: LinkError: gone")
+    await hall.until("polishing")
+    assert (await hall.order("hold"))["reason"] == "held by command"
+    await hall.order("queue_remove", job="b")
+    assert fault_of(hall, "b") == ("", "set aside by an operator, held over: held by command")
+    await hall.end()
+
+
+async def test_a_job_whose_part_another_cell_has_is_set_aside_without_a_fault(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [LinkError("gone")]
+    await hall.start()
+    await hall.until("held")
+
+    async def settled(_: object) -> str:
+        return "cell 2 has the part"
+
+    hall.jobs.claims.settled = settled  # type: ignore[method-assign]
+    hall.jobs.claims.stands = lambda _: False  # type: ignore[method-assign]
+    await hall.order("resume")
+    await hall.wait(lambda: hall.verdicts() == {"a": "set aside"})
+    assert fault_of(hall, "a") == ("", "cell 2 has the part")
+    await hall.end()
+
+
+async def test_a_job_is_not_removed_while_a_device_is_not_safe(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [never]
+    await hall.start()
+    await hall.until("polishing")
+    before = len(hall.fake.of("robot.make_safe"))
+    hall.fake.actuator.acts.fails["make_safe"] = LinkError("silent")
+    assert (await hall.order("hold"))["reason"] == "held by command"
+    assert len(hall.fake.of("robot.make_safe")) == before + 1
+    with pytest.raises(DeviceRefused, match=r"'a' is under way, and a device is not confirmed to be safe"):
+        await hall.order("queue_remove", job="a")
+    await hall.end()
+
+
+async def test_a_waiting_job_can_be_removed_while_none_is_under_way(hall: Hall) -> None:
+    hall.fake.with_loader()
+    await hall.start()
+    await hall.until("idle")
+    await hall.order("hold")
+    hall.add("a")
+    assert (await hall.order("queue_remove", job="a"))["jobs"][0]["state"] == "removed"
+    await hall.end()
+
+
+async def test_a_command_to_hold_again_keeps_the_error_that_holds_the_cell(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [LinkError("gone")]
+    await hall.start()
+    await hall.until("held")
+    await hall.order("hold", reason="look")
+    await hall.wait(lambda: hall.daemon.reason == "LinkError: gone; held by command: look")
+    assert [event["kind"] for event in hall.events("cell_held")] == ["LinkError"], "reported once"
+    hall.daemon.stop()
+    with pytest.raises(LinkError, match="gone"):
+        await hall.task
+
+
+async def test_the_last_facts_of_an_error_are_its_own(hall: Hall) -> None:
+    await hall.build()
+    error = LinkError("gone")
+    failed, stopped = hall.daemon.exit_facts(Outcome.STOPPED, error), hall.daemon.exit_facts(Outcome.STOPPED, None)
+    assert (failed["state"], failed["reason"], failed["exit_code"]) == ("failed", "LinkError: gone", error.exit_code)
+    assert (stopped["state"], stopped["reason"], stopped["exit_code"]) == ("stopped", "", 0)
+
+
+async def test_a_fault_of_polishd_ends_the_daemon_and_no_job(hall: Hall) -> None:
+    def fails(_: Job) -> Outcome:
+        raise ValueError("a fault")
+
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [fails]
+    with pytest.raises(ValueError, match="a fault"):
+        await hall.run()
+    assert hall.verdicts() == {"a": "under way"}
+
+
+async def test_states_are_published_with_their_reason_and_what_a_kill_would_leave(hall: Hall) -> None:
+    loader = hall.add("a").fake.with_loader()
+    loader.acts.hangs.add("load")
+    await hall.build(until_empty=True)
+    assert hall.daemon.reason == ""
+    ends = asyncio.ensure_future(run_until_finished(hall.daemon))
+    hall.task = ends  # type: ignore[assignment]
+    await hall.wait(lambda: hall.fake.of("loader.load"))
+    assert hall.daemon.reason == "a: the loader puts part 'P-a' in"
+    loader.acts.hangs.clear()
+    await hall.order("hold", reason="looked at")
+    await hall.order("resume")
+    assert await ends == (Outcome.IN_TOLERANCE, None)
+    states = hall.events("state_changed")
+    assert (states[0]["state"], states[0]["reason"]) == ("starting", "")
+    assert {one["reason"] for one in states if one["state"] == "polishing"} == {""}
+    assert {one["tool_off"] for one in states if one["state"] == "held"} == {"yes"}
+    assert {one["tool_off"] for one in states if one["state"] == "polishing"} != {"yes"}
+    ((opened,),) = (hall.events("cell_opened"),)
+    assert set(opened) >= {"actuator", "robot", "spindle", "loader"}
+
+
+async def test_a_loader_in_the_way_is_said_once_and_of_a_held_cell_alone(hall: Hall) -> None:
+    hall.add("a", "b").fake.with_loader()
+    hall.ends["a"] = [torn(SafetyStop("force"))]
+    await hall.start(until_empty=True)
+    await hall.until("held")
+    await hall.order("hold", reason="look")
+    await hall.wait(lambda: hall.daemon.reason.endswith("look"))
+    assert hall.daemon.reason.count(IN_THE_WAY) == 1
+    await hall.order("resume")
+    await hall.task
+    assert {one["state"] for one in hall.events("state_changed") if IN_THE_WAY in one["reason"]} == {"held"}
+
+
+async def test_without_a_loader_no_robot_is_in_its_way(hall: Hall) -> None:
+    hall.add("a", "b")
+    hall.ends["a"] = [torn(SafetyStop("force"))]
+    await hall.start(until_empty=True)
+    await hall.until("changing")
+    await hall.order("resume")
+    await hall.wait(lambda: hall.verdicts()["a"] == "set aside")
+    await hall.until("changing")
+    assert not [one for one in hall.events("state_changed") if IN_THE_WAY in one["reason"]]
+    await hall.end()
+
+
+def of_one_part(hall: Hall, *names: str) -> None:
+    """Jobs for the same part."""
+    hall.queue.add([NewJob(name, "P", JobFile(Path(f"/{name}.toml"), ""), {}) for name in names])
+
+
+async def test_a_part_that_a_person_has_put_in_is_not_asked_for_by_its_next_job(hall: Hall) -> None:
+    of_one_part(hall, "a", "b")
+    await hall.start(until_empty=True)
+    await hall.until("changing")
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "accepted", "b": "accepted"}
+    assert [one["job"] for one in hall.events("part_requested")] == ["a"]
+    assert [(one["part_id"], one["by"]) for one in hall.events("part_changed")] == [("P", "a person")]
+
+
+async def test_no_part_counts_as_in_once_another_was_asked_for(hall: Hall) -> None:
+    of_one_part(hall, "a")
+    hall.add("b")
+    of_one_part(hall, "c")
+    await hall.start(until_empty=True)
+    await hall.until("changing")
+    await hall.order("resume")
+    await hall.wait(lambda: len(hall.events("part_requested")) == 2)
+    await hall.order("hold")
+    await hall.order("queue_remove", job="b")
+    await hall.wait(lambda: len(hall.events("part_requested")) == 3)
+    assert hall.events("part_requested")[-1]["job"] == "c"
+    await hall.end()
+
+
+async def test_a_pass_after_an_emergency_is_none_any_more(hall: Hall) -> None:
+    emergency: list[bool] = []
+
+    def polishes(_: Job) -> Outcome:
+        emergency.append(hall.fake.cell.emergency)
+        return Outcome.IN_TOLERANCE
+
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [never, polishes]
+    await hall.start(until_empty=True)
+    await hall.until("polishing")
+    await hall.order("estop")
+    assert hall.fake.cell.emergency
+    await hall.order("resume")
+    await hall.task
+    assert emergency == [False]
+
+
+async def test_a_command_is_obeyed_though_it_cannot_be_recorded(hall: Hall) -> None:
+    hall.fake.with_loader()
+    await hall.start()
+    await hall.until("idle")
+    publish = hall.bus.publish
+
+    def lost(event: Event) -> None:
+        if event.name == "command_received":
+            raise SafetyStop("journal lost")
+        publish(event)
+
+    hall.bus.publish = lost  # type: ignore[method-assign]
+    assert (await hall.order("hold"))["state"] == "held"
+    await hall.end()
+
+
+async def test_a_stop_says_its_reason_alone_where_nothing_else_is_to_say(hall: Hall) -> None:
+    hall.fake.with_loader()
+    await hall.start()
+    await hall.until("idle")
+    stopping = asyncio.ensure_future(hall.order("stop", reason="the shift ends"))
+    assert await hall.task is Outcome.STOPPED
+    stopping.cancel()
+    assert hall.daemon.reason == "stopped by command: the shift ends"
+
+
+async def test_the_computer_is_looked_at_before_anything_moves_and_watched_from_then_on(
+    hall: Hall, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hall.add("a").fake.with_loader()
+    await hall.build(until_empty=True)
+    health, seen = type(hall.daemon._health), list[str]()
+    plain_look, plain_watching = health.look, health.watching
+
+    async def look(self: Any) -> None:
+        seen.append("look")
+        await plain_look(self)
+
+    def wrong(_: Any, *, in_contact: bool) -> str:
+        seen.append(f"in contact: {in_contact}")
+        return ""
+
+    def watching(self: Any, endangered: Any) -> Any:
+        seen.append("watched")
+        return plain_watching(self, endangered)
+
+    monkeypatch.setattr(health, "look", look)
+    monkeypatch.setattr(health, "wrong", wrong)
+    monkeypatch.setattr(health, "watching", watching)
+    assert await hall.daemon.run() is Outcome.IN_TOLERANCE
+    assert seen[:1] == ["watched"]
+    at = seen.index("in contact: False")
+    assert seen[at - 1] == "look"
+
+
+async def test_two_jobs_that_cannot_begin_end_an_unattended_queue_with_their_error(hall: Hall) -> None:
+    hall.add("a", "b", "c").fake.with_loader()
+    hall.refused = dict.fromkeys("ab", ConfigError("lens.rnc was changed since"))
+    with pytest.raises(ConfigError, match=r"lens.rnc was changed since"):
+        await hall.run(holds=False)
+
+
+async def test_status_names_the_job_and_the_part_and_counts_tasks(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [never]
+    await hall.start()
+    await hall.until("polishing")
+    status = await hall.order("status")
+    assert {key: status[key] for key in hall.daemon.job.names()} == hall.daemon.job.names()
+    assert status["tasks"] == len(asyncio.all_tasks())
+    await hall.end()
+
+
+async def test_a_computer_near_a_limit_holds_the_job_and_it_goes_on(hall: Hall) -> None:
+    hall.add("a").fake.with_loader()
+    hall.ends["a"] = [never, Outcome.IN_TOLERANCE]
+    await hall.start(until_empty=True)
+    await hall.until("polishing")
+    hall.daemon._endangered("state_disk_mb 60, at least 64")
+    await hall.until("held")
+    assert hall.verdicts() == {"a": "under way"}
+    await hall.order("resume")
+    await hall.task
+    assert hall.verdicts() == {"a": "accepted"}
 
 
 # over restarts
