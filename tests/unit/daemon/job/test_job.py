@@ -121,6 +121,41 @@ async def test_a_measurement_is_journalled_kept_and_reported(job: Job, journal: 
     assert (event.name, event.cycle, event.data["rms_nm"]) == ("map_measured", 0, measured.stats.rms_nm)
 
 
+async def test_each_step_is_reported_in_its_cycle(job: Job, journal: Journal) -> None:
+    surface = await whole_cycle(job, 0, small_map())
+    first, blocks = list(job.published), small_program().n  # type: ignore[attr-defined]
+    progressed = [event for event in first if event.name == "pass_progressed"]
+    assert [event.name for event in first if event not in progressed] == [
+        "map_measured", "dwell_solved", "pass_started", "pass_ended"
+    ]  # fmt: skip
+    assert {event.cycle for event in first} == {0}
+    (started,) = [event for event in first if event.name == "pass_started"]
+    assert (started.data["program"], started.data["tool"]) == ("", "")
+    ends = [int(small_program().block[k]) + 1 for k in range(PROGRESS_BLOCKS - 1, blocks, PROGRESS_BLOCKS)]
+    assert [event.data["block"] for event in progressed] == ends
+    assert journal.passes[0].reach_s == 9.5
+    await whole_cycle(job, 1, surface)
+    second = job.published[len(first) :]  # type: ignore[attr-defined]
+    assert [event.name for event in second if event.name != "pass_progressed"][:2] == [
+        "map_measured", "estimates_updated"
+    ]  # fmt: skip
+    assert {event.cycle for event in second} == {1}
+
+
+async def test_a_plan_that_waits_says_which_it_is(job: Job) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    asked = job.approval_request(0, plan)
+    assert (asked.cycle, asked.program, asked.program_sha256) == (0, "", plan.program.sha256)
+    assert (asked.dwell_s, asked.plan) == (plan.total_s, job._stored.plan)
+    assert job.names() == {"job": "small", "part": "P-1"}
+
+
+async def test_a_map_without_a_file_is_journalled_without_a_path(job: Job, journal: Journal, tmp_path: Path) -> None:
+    await job.measured(0, small_map())
+    await job.measured(0, replace(small_map(seed=1), path=tmp_path / "a.dat"))
+    assert [path for (path,) in journal.store.read("SELECT path FROM map")] == ["", str(tmp_path / "a.dat")]
+
+
 async def test_masks_are_those_of_the_first_map(job: Job) -> None:
     first = await job.measured(0, small_map())
     holed = small_map(seed=1)
