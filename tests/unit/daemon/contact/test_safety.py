@@ -423,14 +423,18 @@ async def test_an_emergency_stops_motion_at_once(fake: FakeCell) -> None:
 
 async def test_an_emergency_stops_motion_at_once_also_while_the_tool_is_lifted(fake: FakeCell) -> None:
     stopped: list[bool] = []
-    lifting, up = asyncio.Event(), asyncio.Event()
+    lifting, up, given_up = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
     async def lift() -> None:
         lifting.set()
-        await up.wait()
+        try:
+            await up.wait()
+        except asyncio.CancelledError:
+            given_up.set()
+            raise
 
     fake.actuator.make_safe = lift  # type: ignore[method-assign]
-    fake.robot.acts.before["make_safe"] = lambda: stopped.append(up.is_set())
+    fake.robot.acts.before["make_safe"] = lambda: stopped.append(up.is_set() or given_up.is_set())
     pressing = asyncio.ensure_future(forever(fake))
     await until(fake, "pressing")
     pressing.cancel()

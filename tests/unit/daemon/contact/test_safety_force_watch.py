@@ -304,6 +304,13 @@ async def test_a_sensor_that_ends_its_readings_is_silent(fake: FakeCell, sensor:
         await polish_for(fake, 0.1, LIMITS)
 
 
+async def test_a_sensor_that_was_tared_has_answered(fake: FakeCell, sensor: FakeForceSensor) -> None:
+    answered: list[bool] = []
+    fake.spindle.acts.before["set_speed"] = lambda: answered.append("force_sensor" in fake.cell.answered_s)
+    await polish_for(fake, 0.1, LIMITS)
+    assert answered[0]
+
+
 async def test_a_tare_has_its_time_and_that_of_an_answer(fake: FakeCell, sensor: FakeForceSensor) -> None:
     sensor.times, plain = SensorTimes(tare_s=0.0), sensor.tare
 

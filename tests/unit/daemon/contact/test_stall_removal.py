@@ -30,7 +30,9 @@ from polishd.model.devices import ActuatorTimes, RobotTimes, SpindleTimes
 from polishd.model.dwell import AS_PROGRAMMED
 from polishd.model.errors import ConfigError
 from polishd.pipeline.recipe import Recipe
-from polishd.pipeline.steps import envelope_of
+from polishd.pipeline.steps import envelope_of, in_part_frame
+from polishd.process.removal.excess import ExcessMap
+from polishd.process.removal.measured_tif import spot_figures
 from polishd.process.robot.motion import delivered_time_s, least_time_s
 from tests.unit.daemon.contact.test_progress import Run, excess_of, plan_of
 from tests.unit.daemon.small_job import small_recipe
@@ -118,6 +120,11 @@ def test_the_excess_may_be_half_of_the_tolerance_or_a_tenth_of_the_plan() -> Non
     assert limits_of(None).max() > limits_of(None).min() >= 0.25, "a tenth of the removal that is planned there"
     assert limits_of(None, None).min() == NO_TOLERANCE_NM / 2
     np.testing.assert_array_equal(limits_of(7.0), 7.0)
+    recipe, plan = small_recipe(tolerance_nm=0.5), plan_of()
+    whole = excess_map(recipe, plan, None)._limit_nm
+    path, spot = in_part_frame(recipe, plan.program), spot_figures(recipe.process)
+    tenth = ExcessMap(path, plan.expected_time_s, spot, floor_nm=0.25, share=0.1, on_part=recipe.outline.contains)
+    np.testing.assert_array_equal(whole, tenth._limit_nm)
 
 
 def test_facts_row_and_warning_state_the_same_pit() -> None:
