@@ -6,11 +6,12 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from polishd.daemon.job.job import PROGRESS_BLOCKS, Job
+from polishd.daemon.job.job import PROGRESS_BLOCKS, Job, _process, cycle_entries
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.runtime.installed import installed_at_start
@@ -22,7 +23,7 @@ from polishd.model.tolerance import ToleranceLine
 from polishd.pipeline import steps
 from polishd.pipeline.decisions import Accept, AnotherPass, Diverge
 from polishd.pipeline.dwell_step import require_certificate
-from polishd.pipeline.records import MeasureResult
+from polishd.pipeline.records import FIGURES, PASS_FIGURES, MeasureResult
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import format_of
 from polishd.process.identification.findings import DIVERGED_RATIO
@@ -101,6 +102,52 @@ async def whole_cycle(
     await run(job, cycle, plan, force_n=force_n, sensed_n=sensed_n)
     answer = steps.effect_of(small_recipe(), small_program(), surface.grid, at_rate(rate))
     return as_map(surface.height_nm - answer.effect.removal_nm(plan.expected_time_s))
+
+
+# what a summary says of each measurement
+
+STATS = dict.fromkeys(FIGURES, 1.0)
+PLANNED = dict.fromkeys(PASS_FIGURES, 2.0)
+
+
+@pytest.mark.parametrize("how", ["", "done", "interrupted"])
+def test_an_entry_says_how_the_pass_after_its_map_ended(journal: Journal, how: str) -> None:
+    journal.record_map(0, "aa", "x", {**STATS, "notes": ["dust"]})
+    turn = {"number": 0, "name": "raster"}
+    journal.begin_pass(0, "prog", "boot", 3, facts={**PLANNED, "tool": "wide", "program": turn})
+    if how:
+        journal.end_pass(0, how)
+    journal.record_map(1, "bb", "y", STATS)
+    (first, second) = cycle_entries(journal, several_tools=True)
+    assert (first["how"], first["tool"], first["program"]) == (how or "begun", "wide", "raster")
+    assert (second["how"], second["tool"], second["program"]) == (None, None, None)
+    assert (first["notes"], second["notes"]) == (["dust"], [])
+    assert "tool" not in cycle_entries(journal, several_tools=False)[0]
+
+
+@pytest.mark.parametrize(("torn", "earlier"), [((), [1.0, 2.0, 3.0]), ((0,), [2.0, 3.0]), ((0, 1), [3.0]), ((2,), [])])
+def test_a_surface_is_compared_with_those_since_the_last_interrupted_pass(
+    job: Job, journal: Journal, monkeypatch: pytest.MonkeyPatch, torn: tuple[int, ...], earlier: list[float]
+) -> None:
+    asked: list[tuple[Any, ...]] = []
+    monkeypatch.setattr("polishd.daemon.job.job.decide", lambda *values: asked.append(values))
+    for cycle in range(3):
+        journal.record_map(cycle, f"{cycle}", "x", {"rms_nm": cycle + 1.0, "band_rms_nm": None})
+        journal.begin_pass(cycle, "prog", "boot", 3)
+        journal.end_pass(cycle, "interrupted" if cycle in torn else "done")
+    journal.record_map(3, "3", "x", {"rms_nm": 9.0, "band_rms_nm": None})
+    surface: Any = object()
+    job.decide(3, surface)
+    ((recipe, *rest),) = asked
+    assert recipe is job.recipe
+    assert rest == [earlier, surface, (), job.max_cycles + len(torn) - 3]
+
+
+def test_a_process_is_known_by_what_defines_it() -> None:
+    own = {"process.rpm": 1000.0, "process.force_max_n": 18.0, "part.id": "P"}
+    assert _process(own) == _process({**own, "process.force_max_n": 20.0, "part.id": "Q"})
+    assert _process(own) != _process({**own, "process.rpm": 900.0})
+    assert _process(None) == _process({})
 
 
 # what a cycle leaves
