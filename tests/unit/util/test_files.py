@@ -267,6 +267,15 @@ def test_a_file_that_can_be_written_is_known_beforehand(tmp_path: Path) -> None:
 # what others see meanwhile
 
 
+def test_a_file_needs_room_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(folder: Path) -> None:
+        raise ConfigError(f"{folder}: cannot be written: no space")
+
+    monkeypatch.setattr("polishd.util.files.require_writable", full)
+    with pytest.raises(ConfigError, match=f"^{tmp_path}: cannot be written"):
+        require_writable_file(tmp_path / "new.png")
+
+
 def test_what_is_not_whole_yet_lies_beside_it_hidden_and_its_owners_alone(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     with whole_file(path, 0o640) as file:

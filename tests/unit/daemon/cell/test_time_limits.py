@@ -153,3 +153,14 @@ def test_the_instructions_beyond_the_one_under_way_last_until_the_tool_is_up(enc
 
 def test_a_robot_that_holds_enough_has_no_such_limit() -> None:
     assert LIMITS.held_motion("feed", np.full(20, 0.01)) is None
+
+
+@pytest.mark.parametrize(("limits", "more"), [(LIMITS, ""), (EIGHT, ", twice the motion in its instructions ")])
+def test_its_watchdog_waits_for_what_lifts_the_tool(limits: TimeLimits, more: str) -> None:
+    (watchdog,) = [row for row in limits.chain(8.0) if row.what == "watchdog of the robot"]
+    coil, robot = limits.actuator, limits.robot
+    expected = (
+        f"until the tool is up: actuator's watchdog and lift {coil.alone_s:g} s, "
+        f"robot's silence and lift {robot.silence_s + coil.lifted_s:g} s"
+    )
+    assert watchdog.because == expected + (f"{more}{2 * limits.held_motion_s:g} s" if more else "")

@@ -89,6 +89,15 @@ def test_the_job_under_way_comes_first_and_is_not_moved(tmp_path: Path) -> None:
                 queue.move(wrong, "last")
 
 
+def test_a_job_that_begins_with_its_row_is_the_newest_of_the_journal(tmp_path: Path) -> None:
+    with Journal.of_cell(tmp_path) as journal:
+        queue = Queue(journal.store)
+        journal.of_job("before", "P-0", {})
+        queue.add([job("a")])
+        own = journal.of_job("a", "P-1", {}, queue.begin_row(queue.to_do()[0]))
+        assert Queue(journal.store).to_do()[0].job == own.number
+
+
 def test_a_job_under_way_that_is_not_continued_is_put_aside(tmp_path: Path) -> None:
     with Journal.of_cell(tmp_path) as journal:
         queue = Queue(journal.store)
