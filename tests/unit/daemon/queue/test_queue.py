@@ -93,9 +93,9 @@ def test_a_job_that_begins_with_its_row_is_the_newest_of_the_journal(tmp_path: P
     with Journal.of_cell(tmp_path) as journal:
         queue = Queue(journal.store)
         journal.of_job("before", "P-0", {})
-        queue.add([job("a")])
+        queue.add([job("a"), job("b")])
         own = journal.of_job("a", "P-1", {}, queue.begin_row(queue.to_do()[0]))
-        assert Queue(journal.store).to_do()[0].job == own.number
+        assert [entry.job for entry in Queue(journal.store).to_do()] == [own.number, None]
 
 
 def test_a_job_under_way_that_is_not_continued_is_put_aside(tmp_path: Path) -> None:

@@ -4,23 +4,48 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import get_args
 
 import pytest
 
-from polishd.daemon.queue.queue import RULES, JobResult, judge, rule_of
+from polishd.daemon.queue.queue import RULES, How, JobResult, QueueEffect, judge, rule_of
 from polishd.model.errors import (
     DeviceFault,
+    HandlingError,
     LinkError,
     MapError,
     PlanRefused,
     PolishdError,
     RemovalCheckStop,
     SafetyStop,
+    ToolStop,
     WrongPart,
 )
 from polishd.model.states import Outcome
 
 ACCEPTED = JobResult("accepted", "the part is in tolerance", "")
+
+
+def test_each_row_has_a_result_and_an_effect_that_exist() -> None:
+    for rule in RULES:
+        assert rule.how is None or rule.how in get_args(How)
+        assert rule.queue in get_args(QueueEffect)
+        assert (rule.queue == "waits") is (rule.how is None), "a job that is not over waits"
+
+
+@pytest.mark.parametrize(
+    ("end", "how", "effect"),
+    [
+        (Outcome.AS_PROGRAMMED, "accepted", "goes on"),
+        (Outcome.STALLED, "set aside", "goes on"),
+        (ToolStop("x"), "set aside", "stops"),
+        (HandlingError("x"), None, "waits"),
+        (LinkError("x"), None, "waits"),
+    ],
+)
+def test_a_rare_end_has_its_row(end: Outcome | PolishdError, how: str | None, effect: str) -> None:
+    rule = rule_of(end)
+    assert (rule.how, rule.queue) == (how, effect)
 
 
 @pytest.mark.parametrize(
