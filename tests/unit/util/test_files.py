@@ -249,6 +249,18 @@ def test_no_more_is_read_than_the_limit(tmp_path: Path, size: int) -> None:
     writer.join()  # where not all was read, its pipe is closed
 
 
+def test_reading_ends_where_the_limit_is_passed(tmp_path: Path) -> None:
+    """A pipe has no size: one that never ends would fill the memory."""
+    read_end, write_end = os.pipe()
+    with os.fdopen(read_end, "rb") as pipe:
+        writer = threading.Thread(target=_write_all, args=[write_end, b"x" * (8 << 20)])
+        writer.start()
+        with pytest.raises(OSError, match="it is larger than 1 MiB"):
+            read_all(pipe, 1 << 20)
+        assert len(pipe.read()) >= 4 << 20, "the rest was left"
+    writer.join()
+
+
 def _write_all(handle: int, content: bytes) -> None:
     with contextlib.suppress(BrokenPipeError), os.fdopen(handle, "wb", buffering=0) as file:
         file.write(content)

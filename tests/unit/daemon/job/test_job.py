@@ -17,13 +17,14 @@ from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.runtime.installed import installed_at_start
 from polishd.model.devices import ExecutedBlock, RobotProgress
 from polishd.model.errors import ComputeError, HostFault, PlanRefused
+from polishd.model.estimates import Finding
 from polishd.model.program import Plan
 from polishd.model.surface import SurfaceMap
 from polishd.model.tolerance import ToleranceLine
 from polishd.pipeline import steps
 from polishd.pipeline.decisions import Accept, AnotherPass, Diverge
 from polishd.pipeline.dwell_step import require_certificate
-from polishd.pipeline.records import FIGURES, PASS_FIGURES, MeasureResult
+from polishd.pipeline.records import FIGURES, PASS_FIGURES, MeasureResult, ProgramTurn
 from polishd.plugins.rnc_robot.dialect import dialect
 from polishd.plugins.rnc_robot.formats import format_of
 from polishd.process.identification.findings import DIVERGED_RATIO
@@ -194,7 +195,27 @@ async def test_a_plan_that_waits_says_which_it_is(job: Job) -> None:
     asked = job.approval_request(0, plan)
     assert (asked.cycle, asked.program, asked.program_sha256) == (0, "", plan.program.sha256)
     assert (asked.dwell_s, asked.plan) == (plan.total_s, job._stored.plan)
+    job._planned[0] = replace(job._planned[0], program=ProgramTurn(2, "crossed.rnc"))
+    assert job.approval_request(0, plan).program == "crossed.rnc"
     assert job.names() == {"job": "small", "part": "P-1"}
+
+
+async def test_a_pass_that_hardly_improves_is_reported_in_its_cycle(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    await planned(job, 0, await job.measured(0, small_map()))
+    job._planned[4] = job._planned[0]
+    finding = Finding("stall", "it would remove too little", "job")
+    monkeypatch.setattr("polishd.daemon.job.job.small_gain_finding", lambda *_: finding)
+    assert job.pass_not_worthwhile(4)
+    reported = job.published[-1]  # type: ignore[attr-defined]
+    assert (reported.name, reported.cycle, reported.what) == ("finding_reported", 4, finding.what)
+
+
+async def test_a_pass_says_with_which_tool_it_starts(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = await planned(job, 0, await job.measured(0, small_map()))
+    monkeypatch.setattr(Job, "tool", "wide")
+    await job.begin_pass(0, plan, ROBOT, 9.5)
+    (started,) = [one for one in job.published if one.name == "pass_started"]  # type: ignore[attr-defined]
+    assert started.data["tool"] == "wide"
 
 
 async def test_a_map_without_a_file_is_journalled_without_a_path(job: Job, journal: Journal, tmp_path: Path) -> None:

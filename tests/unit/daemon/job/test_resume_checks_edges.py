@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -105,6 +106,16 @@ def test_files_are_named_with_what_they_hold_and_one_that_is_gone_is_reported(ce
         ConfigError, match=re.escape(f"{config.profile_path}: cannot be read: No such file or directory")
     ):
         file_terms(config, {}, ["instrument.profile"])
+
+
+def test_only_a_program_counts_with_the_file_of_its_positions(cell: Path) -> None:  # noqa: F811
+    config = begin(cell)
+    beside = SimpleNamespace(data_file=SimpleNamespace(find=lambda _: b"positions"))
+    formats: Any = {config.program.format: beside}
+    keys = ["instrument.profile", "program.path"]
+    alone, together = file_terms(config, {}, keys), file_terms(config, formats, keys)
+    assert together["instrument.profile"] == alone["instrument.profile"]
+    assert together["program.path"] != alone["program.path"]
 
 
 def test_the_program_counts_as_it_was_read(cell: Path) -> None:  # noqa: F811
