@@ -155,6 +155,11 @@ def test_a_robot_that_holds_enough_has_no_such_limit() -> None:
     assert LIMITS.held_motion("feed", np.full(20, 0.01)) is None
 
 
+def test_the_end_of_a_block_may_be_off_by_three_standard_deviations() -> None:
+    limits = replace(LIMITS, robot=RobotTimes(block_end_s=0.01))
+    assert limits.end_blur_s == pytest.approx(0.03)
+
+
 @pytest.mark.parametrize(("limits", "more"), [(LIMITS, ""), (EIGHT, ", twice the motion in its instructions ")])
 def test_its_watchdog_waits_for_what_lifts_the_tool(limits: TimeLimits, more: str) -> None:
     (watchdog,) = [row for row in limits.chain(8.0) if row.what == "watchdog of the robot"]

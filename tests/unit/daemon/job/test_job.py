@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.job.job import PROGRESS_BLOCKS, Job, _process, cycle_entries
+from polishd.daemon.job.job import PROGRESS_BLOCKS, Job, StoredArrays, _process, cycle_entries
 from polishd.daemon.journal.journal import Journal
 from polishd.daemon.journal.records import BlockRecord
 from polishd.daemon.runtime.installed import installed_at_start
@@ -103,6 +104,14 @@ async def whole_cycle(
     await run(job, cycle, plan, force_n=force_n, sensed_n=sensed_n)
     answer = steps.effect_of(small_recipe(), small_program(), surface.grid, at_rate(rate))
     return as_map(surface.height_nm - answer.effect.removal_nm(plan.expected_time_s))
+
+
+def test_a_job_is_given_what_it_needs_and_begins_with_nothing_else(job: Job) -> None:
+    assert set(inspect.signature(Job).parameters) == {
+        "tools", "journal", "folder", "compute", "publish", "check_plan", "max_cycles", "stream_ahead_s"
+    }  # fmt: skip
+    assert (job.findings, job._initial_notes, job._surfaces, job._planned) == ((), (), {}, {})
+    assert (job._stored, job._masks, job._lay, job._blocks, job.handled) == (StoredArrays(), None, None, 0, set())
 
 
 # what a summary says of each measurement

@@ -89,6 +89,18 @@ def test_a_job_of_an_earlier_polishd_is_refused_at_its_name(cell: Path) -> None:
         ("touch_off.force_n", True),
         ("part", False),
         ("roles.tool", False),
+        ("include", True),
+        ("plugins.load", True),
+        ("ripple.amplitude_nm", True),
+        ("notify.mail.to", True),
+        ("shop.url", True),
+        ("opcua.port", True),
+        ("tools.wide.change_s", True),
+        ("tools.wide.position_mm", True),
+        ("tools.wide.force_max_n", True),
+        ("tools.wide.radius_mm", False),
+        ("estimates.use_previous", True),
+        ("estimates.tool", False),
     ],
 )
 def test_the_first_rule_that_fits_holds(key: str, may: bool) -> None:
