@@ -249,7 +249,7 @@ async def test_two_looks_at_a_low_override_count_where_the_tool_lands_or_presses
 
 
 class Calls:
-    """Stands in for the progress of a pass, and records what it is told."""
+    """Stands in for the progress of a pass, and records its calls."""
 
     def __init__(self, executed: int = 0, worst: float = 0.0) -> None:
         self.executed, self.worst = executed, worst
