@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from polishd.daemon.cell.time_limits import TimeLimits, safe_within_s, stays_on, too_short
+from polishd.daemon.cell.time_limits import LOOK_S, TimeLimits, safe_within_s, stays_on, too_short
 from polishd.model.devices import ActuatorTimes, RobotTimes, SensorTimes, SpindleTimes
 
 IN_MS = {"watchdog_s": "watchdog_ms"}
@@ -158,6 +158,7 @@ def test_a_robot_that_holds_enough_has_no_such_limit() -> None:
 def test_the_end_of_a_block_may_be_off_by_three_standard_deviations() -> None:
     limits = replace(LIMITS, robot=RobotTimes(block_end_s=0.01))
     assert limits.end_blur_s == pytest.approx(0.03)
+    assert limits.no_progress_s == pytest.approx(limits.robot.report_s + 0.03 + 2 * LOOK_S)
 
 
 @pytest.mark.parametrize(("limits", "more"), [(LIMITS, ""), (EIGHT, ", twice the motion in its instructions ")])

@@ -17,13 +17,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from polishd.daemon.journal.journal import Journal
-from polishd.daemon.runtime.events import causes, killed_safety, record_exit, recording_exit, safety_of
+from polishd.daemon.runtime.events import causes, killed_safety, record_exit, recording_exit, safety_of, utc_now
 from polishd.daemon.runtime.exit_record import LOCK_NAME, RECORD_NAME, for_cell, last_ending, locked, next_action
 from polishd.model.errors import ConfigError, SafetyStop
 from polishd.model.events import CellHeld, DaemonFailed, Event, PlanWritten, StateChanged
@@ -189,6 +190,14 @@ def test_with_the_reason_why_it_was_held(tmp_path: Path) -> None:
     assert facts["reason"].endswith("while held: LinkError: gone")
     assert (facts["tool_off"], facts["run_dir"], facts["queue"]) == ("yes", "", False)
     assert facts["next"] == next_action("killed", queue=False)
+
+
+def test_the_time_of_an_end_is_in_utc_and_to_the_second() -> None:
+    before = datetime.now(UTC).replace(microsecond=0)
+    at = datetime.fromisoformat(utc_now())
+    assert before <= at <= datetime.now(UTC)
+    assert at.microsecond == 0
+    assert at.tzinfo is UTC
 
 
 def test_an_ending_is_reported_as_it_was(tmp_path: Path) -> None:
