@@ -196,6 +196,15 @@ def torn(error: PolishdError | None = None) -> Callable[[Job], Any]:
     return end
 
 
+async def whole(job: Job) -> Outcome:
+    """An end after a whole pass."""
+    async with job.journal.phase(0, CyclePhase.RUN):
+        job.journal.begin_pass(0, "sha", "boot-0", 300, contact=(4, 290))
+        job.journal.record_executed(0, [BlockRecord(ExecutedBlock(4, 0.0, 1.0), True)])
+        job.journal.end_pass(0, "done")
+    return Outcome.IN_TOLERANCE
+
+
 def touching(error: PolishdError) -> Callable[[Job], Any]:
     """An end in a touch-off."""
 
@@ -379,13 +388,13 @@ async def test_a_device_at_fault_between_passes_holds_the_same_job(hall: Hall) -
 
 async def test_a_part_whose_pass_was_cut_off_is_put_aside_and_no_loader_moves_under_the_robot(hall: Hall) -> None:
     hall.add("a", "b", "c").fake.with_loader()
-    hall.ends["a"] = [torn(SafetyStop("force"))]
+    hall.ends |= {"a": [torn(SafetyStop("force"))], "b": [whole]}
     await hall.start(until_empty=True)
     await hall.until("held")
     assert hall.verdicts() == {"a": "set aside", "b": "under way", "c": "waiting"}
     assert IN_THE_WAY in hall.daemon.reason
     assert hall.fake.of("loader.load") == ["loader.load P-a"]
-    ((ended,),) = hall.journal.store.read("SELECT ended IS NOT NULL FROM pass")
+    ((ended,),) = hall.journal.store.read("SELECT ended IS NOT NULL FROM pass WHERE job = 1")
     assert ended, "the pass is settled before the job ends"
     await hall.order("resume")
     await hall.task
