@@ -51,6 +51,7 @@ def line() -> dict[str, FloatArray]:
     }
 
 
+@pytest.mark.full
 def test_a_pass_and_what_is_wrong_with_requests() -> None:
     wrong = {**line(), "rpm": np.zeros(3)}
     code, answers = asked(

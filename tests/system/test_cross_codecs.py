@@ -101,6 +101,7 @@ def test_both_number_the_frames_alike() -> None:
     assert {kind.name: int(kind) for kind in FrameType} == {kind.name: getattr(f, kind.name) for kind in FrameType}
 
 
+@pytest.mark.full
 @given(st.lists(st.tuples(U32, LINES), min_size=1, max_size=4), st.lists(U16, max_size=8), st.binary(max_size=9))
 def test_blocks_of_the_driver_reach_the_controller(
     sent: list[tuple[int, list[bytes]]], cuts: list[int], dirt: bytes
@@ -124,6 +125,7 @@ def test_commands_of_the_driver_reach_the_controller(kind: FrameType, content: d
     assert f.unpack_json(payload) == content
 
 
+@pytest.mark.full
 @given(st.lists(RECORDS, min_size=1, max_size=3), st.lists(U16, max_size=8))
 def test_records_of_the_controller_reach_the_driver(
     sent: list[list[tuple[int, float, float]]], cuts: list[int]
@@ -148,6 +150,7 @@ def test_status_of_the_controller_reaches_the_driver(status: dict[str, Any], kin
     }
 
 
+@pytest.mark.full
 @given(RECORDS, st.integers(min_value=0), st.integers(0, 7))
 def test_neither_side_acts_on_a_frame_with_one_wrong_bit(
     records: list[tuple[int, float, float]], at: int, bit: int
@@ -430,6 +433,7 @@ def test_what_the_instrument_writes_is_what_is_read(
     assert found.factors["origin_px"] == origin
 
 
+@pytest.mark.full
 @given(
     HEIGHTS, st.sampled_from([0, 1, 2]), st.integers(-2, 2), st.floats(0.25, 2.0), st.floats(4e-7, 1e-6),
     st.floats(0.5, 2.0), st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 2)),
@@ -456,6 +460,7 @@ def test_files_of_other_instruments_are_read_alike(
     assert ours.height_nm[-1, -1] * 321.0 * (-1 if sign else 1) > 0
 
 
+@pytest.mark.full
 @given(HEIGHTS, st.integers(min_value=0))
 def test_a_torn_file_is_read_by_neither(heights: FloatArray, size: int) -> None:
     content = writer.pack(writer.DatMap(measured(heights), 0.5, "P"))

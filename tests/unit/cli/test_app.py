@@ -42,7 +42,7 @@ def test_it_helps_by_itself() -> None:
         assert verb in said.output
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("words", [("map", "formats", "--json"), ("program", "dialects"), ("tif", str(EXAMPLE))])
 def test_it_needs_no_daemon(words: tuple[str, ...]) -> None:
     """Nor the verbs of a cell: it can become a separate distribution."""

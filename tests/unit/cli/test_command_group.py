@@ -146,6 +146,7 @@ def test_completion(line: str, found: list[str]) -> None:
     assert completed(line) == found
 
 
+@pytest.mark.full
 def test_completion_of_the_jobs_of_a_queue(folder: Path) -> None:
     with Queue.at_rest(folder / "state") as queue:
         queue.add([NewJob(name, "P", JobFile(folder / "j.toml", ""), {}) for name in ("lens-1", "lens-2", "mirror")])

@@ -62,7 +62,7 @@ def test_in_the_imports(tmp_path: Path, number: int) -> None:
     assert (ended.returncode, ended.stdout) == (130, "")
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("place", ["", "destructor"])
 def test_at_work(tmp_path: Path, place: str) -> None:
     """Python ignores, with a traceback, what is raised in a destructor."""
@@ -71,6 +71,7 @@ def test_at_work(tmp_path: Path, place: str) -> None:
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
 
 
+@pytest.mark.full
 def test_behind_nohup_it_is_ignored(tmp_path: Path) -> None:
     """Who started it with SIGINT ignored meant that."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)

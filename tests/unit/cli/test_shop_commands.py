@@ -87,6 +87,7 @@ def test_times_have_their_zone(office: Office) -> None:
     assert re.search(r"\d\d:\d\d UTC", office.say("list"))
 
 
+@pytest.mark.full
 def test_what_cells_do_did_and_have_learned_is_shown(office: Office) -> None:
     report = CellReport(
         journal="J", first=1, last=1, before="", tail="h", now={"state": "polishing", "job": "lens", "reason": ""},

@@ -172,6 +172,7 @@ def cell(tmp_path: Path) -> Path:
     return tmp_path / "cell.toml"
 
 
+@pytest.mark.full
 def test_the_devices_of_a_cell(cell: Path) -> None:
     result = CliRunner().invoke(app, ["doctor", str(cell), "--json"])
     answer = json.loads(result.output)
@@ -185,6 +186,7 @@ def test_the_devices_of_a_cell(cell: Path) -> None:
     assert again["counts"]["problem"] == 2
 
 
+@pytest.mark.full
 def test_it_connects_to_no_device(cell: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as robot:
         robot.setblocking(False)
@@ -195,6 +197,7 @@ def test_it_connects_to_no_device(cell: Path) -> None:
             robot.accept()
 
 
+@pytest.mark.full
 def test_a_plugin_that_cannot_be_loaded_is_a_problem(cell: Path) -> None:
     cell.write_text(
         cell.read_text(encoding="utf-8").replace('"run_report"]', '"run_report", "gone"]'), encoding="utf-8"

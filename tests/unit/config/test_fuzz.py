@@ -45,6 +45,7 @@ def placed(message: str, lines: int) -> None:
         assert match[1] is None or 1 <= int(match[1]) <= lines, line
 
 
+@pytest.mark.full
 @given(st.sampled_from(KEYED), LITERALS)
 def test_any_value_for_any_key(number: int, literal: str) -> None:
     key = LINES[number].partition("=")[0].strip()
@@ -81,6 +82,7 @@ def test_any_stranger_is_named_with_its_line(number: int, name: str) -> None:
         assert f".zz_{name}: unknown key" in message
 
 
+@pytest.mark.full
 @given(st.integers(0, len(EXAMPLE)), st.text(max_size=5))
 def test_any_damage_to_the_text(place: int, junk: str) -> None:
     message = outcome(EXAMPLE[:place] + junk + EXAMPLE[place:])

@@ -174,6 +174,7 @@ def test_a_budget_below_what_motion_takes_is_refused_with_both_numbers() -> None
         dwell_step.solve(small_recipe(objective="budget", budget_s=0.5), small_program(), measured)
 
 
+@pytest.mark.full
 def test_a_curve_comes_with_the_plan_if_asked_for() -> None:
     measured = steps.condition(small_recipe(), small_map())
     solved = dwell_step.solve(small_recipe(curve=True), small_program(), measured)

@@ -324,6 +324,7 @@ def test_the_gap_says_by_how_much_the_other_is_better(program: Program, measured
     assert certificate.cross_check_gap == pytest.approx(0.25)
 
 
+@pytest.mark.full
 def test_no_operator_is_asked_about_what_is_proved(program: Program, measured: MeasureResult) -> None:
     def never(problem: DwellProblem, within_s: float) -> DwellSolution:
         raise AssertionError("was asked")
@@ -633,6 +634,7 @@ def test_as_programmed_no_time_is_changed() -> None:
     assert certificate.predicted_rms_nm == pytest.approx(float(left[clear].std()), rel=1e-6)
 
 
+@pytest.mark.full
 def test_low_orders_are_doubted_before_anything_is_learned(
     program: Program, measured: MeasureResult, solved: SolveResult
 ) -> None:

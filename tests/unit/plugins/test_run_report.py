@@ -213,6 +213,7 @@ class TestARun:
         for content in embedded:
             assert imread(io.BytesIO(content)).shape[0] > 100
 
+    @pytest.mark.full
     def test_it_shows_every_pass_and_the_whole(self, page: str, reported: Path) -> None:
         expected = {"maps", "convergence", "psd", "cycle-00-compliance"}
         expected |= {f"cycle-{cycle:02d}-{kind}" for cycle in (0, 1) for kind in PER_PASS}

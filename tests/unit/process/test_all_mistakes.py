@@ -97,7 +97,7 @@ def caught_by(mistake: Mistake) -> dict[str, str]:
     return {name: reason for name, reason in said.items() if reason}
 
 
-@pytest.mark.one_of_each("mistake.way.mirror", "mistake.sign")
+@pytest.mark.full
 @pytest.mark.parametrize("mistake", ALL, ids=str)
 def test_each_mistake_is_caught_by_those_who_can_see_it(mistake: Mistake) -> None:
     expected = set() if mistake.none else {"commissioning", "gate"}

@@ -37,7 +37,7 @@ def test_the_command_in_the_cell_makes_the_shipped_program(cell: Path, monkeypat
     assert program.read_bytes() == shipped
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 def test_check_takes_the_cell(cell: Path) -> None:
     done = CliRunner().invoke(app, ["check", str(cell), "--json"])
     assert done.exit_code == 0, done.exception

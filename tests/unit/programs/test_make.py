@@ -186,6 +186,7 @@ def test_a_part_that_is_not_round_is_covered_as_far_as_it_goes(
     assert near.max() < 0.8
 
 
+@pytest.mark.full
 def test_a_cell_says_what_is_not_asked_for(tmp_path: Path) -> None:
     text = EXAMPLE.read_text()
     for key, value in (
@@ -219,6 +220,7 @@ def test_options_override_the_cell() -> None:
     np.testing.assert_allclose(upright, np.tile([0, 0, 1], (len(upright), 1)), atol=1e-12)
 
 
+@pytest.mark.full
 def test_a_cell_chooses_the_distance_with_the_least_ripple_and_says_it(tmp_path: Path) -> None:
     said, _ = made(tmp_path, "raster", "--cell", EXAMPLE)
     config = load_config(EXAMPLE)
@@ -229,6 +231,7 @@ def test_a_cell_chooses_the_distance_with_the_least_ripple_and_says_it(tmp_path:
     assert np.median(np.diff(steps_mm)) == pytest.approx(chosen.pitch_mm, rel=1e-3), "the demo's path has it, too"
 
 
+@pytest.mark.full
 def test_more_time_buys_less_ripple_and_less_time_keeps_to_its_budget(tmp_path: Path) -> None:
     (tmp_path / "long").mkdir()
     (tmp_path / "short").mkdir()
@@ -306,6 +309,7 @@ def test_what_its_plan_or_run_would_refuse_is_not_written(
     assert files == ["cell"]
 
 
+@pytest.mark.full
 def test_a_program_replaces_one_in_another_language_though_the_cell_has_a_touch_off(tmp_path: Path) -> None:
     """The touch-off is made like the program that there is, which is not the one to come."""
     path = load_config(EXAMPLE).program_path.name
@@ -338,6 +342,7 @@ def test_the_limit_of_turns_is_the_paths() -> None:
     assert inspect.signature(make).parameters["turn_limit_deg"].default == TURN_LIMIT_DEG
 
 
+@pytest.mark.full
 def test_no_program_is_written_without_its_picture(tmp_path: Path) -> None:
     for picture, why in ((tmp_path / "none" / "x.png", "cannot be written"), (tmp_path / "made.nc", "name two files")):
         error, there = refused(tmp_path, "raster", "--aperture", "circle:10", "--picture", picture)

@@ -280,6 +280,7 @@ def test_what_would_forbid_to_run_is_noted(desk: Desk) -> None:
     assert any("states no tool axis" in note for note in notes)
 
 
+@pytest.mark.full
 def test_what_the_pass_would_write_is_reported_and_a_disk_that_it_would_fill(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -298,6 +299,7 @@ def test_warnings_of_the_map_are_noted(desk: Desk) -> None:
     assert "the clock was wrong" in desk.plan()["notes"]
 
 
+@pytest.mark.full
 def test_a_tilt_is_not_polished_and_a_large_one_is_noted(desk: Desk) -> None:
     plain = desk.plan()
     desk.out = desk.out.parent / "two"
@@ -340,6 +342,7 @@ def test_a_commissioned_profile_needs_no_note(desk: Desk) -> None:
     assert desk.plan()["notes"] == ["a spot for tests"]
 
 
+@pytest.mark.full
 def test_the_program_is_that_of_the_pass(desk: Desk) -> None:
     """Where several take turns; another one of the command line is that of any pass."""
     other = desk.program.with_name("between.rnc")

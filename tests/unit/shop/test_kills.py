@@ -117,6 +117,7 @@ def served(
             answered.write_text(str(number + 1))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("count", "all_of_them"),
     [(4, False), pytest.param(len(REQUESTS), True, marks=pytest.mark.full)],

@@ -209,6 +209,7 @@ def test_an_answer_that_was_lost_is_asked_for_again_by_the_same_request(rig: Rig
     assert rig.desk.waiting() == ["lens"]
 
 
+@pytest.mark.full
 def test_what_was_added_just_before_a_kill_is_not_asked_for_again(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     rig.happens(HELD)
     rig.office.parts = ["lens", "disc"]
@@ -285,6 +286,7 @@ def test_it_goes_on_whatever_the_shop_says_and_tells_it_once(rig: Rig, caplog: p
     assert len(rig.office.of("report")) == 1
 
 
+@pytest.mark.full
 def test_a_token_that_is_refused_is_not_tried_again_until_there_is_another_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -464,6 +466,7 @@ def test_a_disk_that_refuses_a_jobs_files_ends_no_link(rig: Rig, monkeypatch: py
         rig.link.turn()
 
 
+@pytest.mark.full
 def test_the_files_of_a_job_are_removed_after_its_end_and_no_others(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RETENTION_S", -60.0)
     rig.happens(HELD)

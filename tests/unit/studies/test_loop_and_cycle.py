@@ -136,7 +136,7 @@ DIVERGED = (Diverge, NEVER_NM, 3, {"scratches_nm": lambda number: 20.0 * (number
 GAINED_ONCE, WORSE = (PassesUsed, *STALLED[1:]), (Diverge, *STALLED[1:])
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("seed", "last", "tolerance_nm", "passes", "plant"),
     [

@@ -199,6 +199,7 @@ CASES = [case]
 """
 
 
+@pytest.mark.full
 def test_ctrl_c_while_a_rig_is_built_ends_pytest_as_interrupted(tmp_path: Path) -> None:
     """It ended with a KeyError of pytest's own tmp_path and exit code 1: a device that fails its requirements."""
     (tmp_path / "test_mine.py").write_text(INTERRUPTED)

@@ -33,6 +33,7 @@ def test_to_identify_nothing_moves_but_to_safety(cell: Path) -> None:
     assert "takes the force off and lifts" in found["actuator"]
 
 
+@pytest.mark.full
 def test_each_level_says_what_it_adds(cell: Path, tmp_path: Path) -> None:
     motion = tmp_path / "air.nc"
     motion.write_text("G1 X1\n\nG1 X0\n")
@@ -44,6 +45,7 @@ def test_each_level_says_what_it_adds(cell: Path, tmp_path: Path) -> None:
     assert "POLISHED along program.rnc with 12 N" in said(cell, level=Level.CYCLE, max_force_n=50.0)["all of them"]
 
 
+@pytest.mark.full
 def test_a_robot_moves_only_with_a_confirmation(cell: Path, tmp_path: Path) -> None:
     assert "does not move: no --motion" in said(cell, **PRESSES)["robot"]
     assert foreseen(HilRequest(cell=cell, **PRESSES)).scope().block is None

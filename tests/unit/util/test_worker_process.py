@@ -103,6 +103,7 @@ def test_one_that_dies_between_requests_is_not_alive(worker: WorkerProcess) -> N
         worker.request({"do": "echo"}, {"large": np.zeros(1 << 20)})
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("what", ["burn", "burn in threads"])
 def test_a_worker_is_ended_when_its_cpu_time_is_used(worker: WorkerProcess, what: str) -> None:
     worker.start()
@@ -215,6 +216,7 @@ def test_printing_disturbs_no_answer_and_blocks_no_worker(worker: WorkerProcess)
     assert len(worker.stderr_tail) <= 4096
 
 
+@pytest.mark.full
 def test_what_it_prints_goes_to_the_log_where_it_has_one(capfd: pytest.CaptureFixture[str]) -> None:
     for has_log in (False, True):
         with WorkerProcess(f"{TARGETS}:start", "the worker", has_log=has_log) as worker:
@@ -281,6 +283,7 @@ def test_an_interrupted_request_is_not_answered_to_the_next(
     assert not worker.alive
 
 
+@pytest.mark.full
 def test_its_end_leaves_no_open_files() -> None:
     before = open_files()
     for _ in range(3):

@@ -43,6 +43,7 @@ def serving_verb(*words: str) -> Iterator[tuple[str, int]]:
             process.wait(SOON_S)
 
 
+@pytest.mark.full
 def test_the_stream_tells_the_state_and_ends_with_the_server(tmp_path: Path) -> None:
     cell = write_demo(tmp_path / "demo", None, 2.0, 4, None).cell
     cell.write_text(cell.read_text().replace("port = 8750", "port = 0"))

@@ -46,6 +46,7 @@ def cell_with(tmp_path: Path, *fragments: str) -> Path:
     return tmp_path / "cell.toml"
 
 
+@pytest.mark.full
 def test_stiffnesses_are_found_and_a_cell_takes_them(polishd: Polishd, tmp_path: Path) -> None:
     tests = loading_tests(tmp_path / "tests.csv", 40, 0.03, 1)
     more = loading_tests(tmp_path / "more.csv", 200, 0.0, 2)

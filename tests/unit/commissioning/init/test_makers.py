@@ -48,7 +48,7 @@ def said(*words: str) -> dict[str, Any]:
     return answer
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("maker", MAKERS)
 def test_a_robot_by_its_maker_gives_a_first_plan(tmp_path: Path, maker: str) -> None:
     """The commands of docs/how-to/connect-a-robot.md: the cell passes its check, and a map becomes a program."""
@@ -147,6 +147,7 @@ def test_a_wrong_answer_of_a_maker_is_refused_with_its_place(tmp_path: Path, ans
     assert not (tmp_path / "cell").exists()
 
 
+@pytest.mark.full
 def test_a_maker_is_asked_for_its_arm_its_address_and_the_parts_frame(tmp_path: Path) -> None:
     person = Person(
         maker=["kuka"],

@@ -41,6 +41,7 @@ def answered(folder: Path, person: Person, connected: Connected = NOTHING) -> An
     return ask_questions(folder / "cell", connected, load_own(), person)
 
 
+@pytest.mark.full
 def test_each_question_has_a_line_of_why_and_a_part_and_an_arm_become_their_answers(tmp_path: Path) -> None:
     person = Person(robot=["ur10e"], part__id=["M-7"], part__aperture_mm=["150"], surface=["sphere"])
     answers = answered(tmp_path, person)
@@ -49,6 +50,7 @@ def test_each_question_has_a_line_of_why_and_a_part_and_an_arm_become_their_answ
     assert answers.cell["part"] == {"id": "M-7", "aperture_mm": 150, "curvature_radius_mm": 800.0}
 
 
+@pytest.mark.full
 def test_what_only_got_a_return_is_still_to_be_looked_at(tmp_path: Path) -> None:
     person = Person(robot=["ur5e"], process__force_n=["9.5"])
     draft = draft_cell(answered(tmp_path, person), tmp_path / "cell", load_own())

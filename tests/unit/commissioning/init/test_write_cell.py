@@ -357,7 +357,7 @@ def test_a_large_part_becomes_a_cell_whose_plan_takes_the_program(tmp_path: Path
     assert precheck.precheck_plan(recipe, steps.read_program(recipe, config.program_path), hooks.check_plan) == []
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("answers", "said"),
     [

@@ -85,6 +85,7 @@ def robot(section: str) -> str:
     return CELL.replace(ROBOT, f"[robot]\n{section}\n").replace("watchdog_s = 8.0  ", "#")
 
 
+@pytest.mark.full
 def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None:
     """Also where a fragment of a calibration has it; sim.toml has none of it."""
     calibrated = {"limb_stiffness_n_per_mm": 16.5e3, "a_stiffness_n_mm_per_rad": 5.1e7}
@@ -102,6 +103,7 @@ def test_the_simulator_is_this_cells_part_tool_and_robot(tmp_path: Path) -> None
     assert set(tomllib.loads(sim_text(draft, "cell.toml"))) == {"cell", "plant", "hidden_truth", "robot"}
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "said", ["rectangle_mm = [40.0, 24.0]", "aperture_mm = 60.0\nhole_mm = 20.0", 'polygon_file = "corners.csv"']
 )
@@ -113,6 +115,7 @@ def test_a_part_that_is_not_round_is_not_in_the_simulator_either(tmp_path: Path,
     assert played.area_mm2 == real.area_mm2
 
 
+@pytest.mark.full
 def test_the_part_starts_as_one_that_the_job_may_polish(tmp_path: Path) -> None:
     plant = sim_of(made(tmp_path, CELL), tmp_path).plant
     assert (plant.rms_nm, plant.pv_nm) == (18.0, pytest.approx(149.4))
@@ -120,6 +123,7 @@ def test_the_part_starts_as_one_that_the_job_may_polish(tmp_path: Path) -> None:
     assert (plant.rms_nm, plant.pv_nm) == (pytest.approx(60.2, abs=0.1), 500.0)
 
 
+@pytest.mark.full
 def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(tmp_path: Path) -> None:
     (tmp_path / "calibration.toml").write_text("[kinematics]\ntool_length_mm = 419.0\n")
     draft = made(tmp_path, CELL.replace("# include =", "include =").replace('"state"', '"daemon"'))
@@ -136,6 +140,7 @@ def test_the_cell_is_the_same_but_for_addresses_folders_and_where_its_files_lie(
     assert draft.notes == ["instrument.profile: there is none; the rehearsal has that of polishd demo"]
 
 
+@pytest.mark.full
 def test_programs_of_tools_lie_where_the_cell_says(tmp_path: Path) -> None:
     draft = made(tmp_path, CELL + '\n[tools.small]\nprogram = ["program.rnc", "sub/between.rnc"]\n')
     found = changed(draft, tmp_path)
@@ -162,7 +167,7 @@ def test_a_measured_spot_and_a_measured_robot_come_along(tmp_path: Path) -> None
     assert any("the simulated one goes everywhere" in note for note in draft.notes)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("profile", "address", "kind"),
     [
@@ -185,6 +190,7 @@ def test_a_controller_that_loads_files(tmp_path: Path, profile: str, address: st
     assert ("controller.toml" in draft.files) == stands_in
 
 
+@pytest.mark.full
 def test_an_arm_of_universal_robots(tmp_path: Path) -> None:
     text = robot('type = "universal_robots"\naddress = "tcp://10.0.0.2:30004"\nfirst_register = 30\nrate_hz = 500.0')
     text = with_keys(text.replace('"rs274"', '"urscript"'), {"kinematics": ARM})
@@ -198,6 +204,7 @@ def test_an_arm_of_universal_robots(tmp_path: Path) -> None:
     assert sum("first_register" in note for note in draft.notes) == 1
 
 
+@pytest.mark.full
 def test_the_shipped_abb_cell_is_rehearsed_on_its_arm(tmp_path: Path) -> None:
     text = (EXAMPLES / "abb_cell.toml").read_text().replace("program.mod", "program.rnc")
     draft = made(tmp_path, text.replace('"drive.eds"', f'"{EXAMPLES / "drive.eds"}"'))
@@ -206,6 +213,7 @@ def test_the_shipped_abb_cell_is_rehearsed_on_its_arm(tmp_path: Path) -> None:
     assert isinstance(sim.robot_model(), SerialRobot)
 
 
+@pytest.mark.full
 def test_an_abb_controller(tmp_path: Path) -> None:
     text = robot('type = "abb_rws"\naddress = "tcp://10.0.0.3:443"\nversion = "2.0"\ntask = "T_ROB_L"')
     draft = made(tmp_path, text.replace('"rs274"', '"rapid"'))
@@ -215,6 +223,7 @@ def test_an_abb_controller(tmp_path: Path) -> None:
     assert "127.0.0.1" in other["robot.address"]
 
 
+@pytest.mark.full
 def test_a_kuka_controller_reads_its_modules_from_the_simulators_folder(tmp_path: Path) -> None:
     text = robot(
         'type = "kuka_kvp"\naddress = "tcp://10.0.0.2:7000"\ndelivery = "folder:/mnt/r1/Program"\nwatchdog_s = 9.0'
@@ -234,6 +243,7 @@ def test_linuxcnc_is_a_real_one_in_real_time(tmp_path: Path) -> None:
     assert (other["robot.program_dir"], other["robot.controller_dir"]) == ("sim/linuxcnc/nc", "/mnt/nc")
 
 
+@pytest.mark.full
 def test_drives_by_profile_and_on_canopen_and_what_the_simulated_ones_count_in(tmp_path: Path) -> None:
     shutil.copy(EXAMPLES / "drive.eds", tmp_path)
     actuator = (
@@ -297,6 +307,7 @@ def test_nothing_real_is_started_or_notified(tmp_path: Path) -> None:
     assert any("./wash.sh would act on the real cell" in note for note in draft.notes)
 
 
+@pytest.mark.full
 def test_maps_lie_as_the_cells_profile_says(tmp_path: Path) -> None:
     profile = (EXAMPLES / "instrument.toml").read_text().replace("mirror = false", "mirror = true")
     profile = profile.replace("rotation_deg = 0 ", "rotation_deg = 90").replace("factor = 1.0", "factor = 0.5")
@@ -334,6 +345,7 @@ def made_of_others(folder: Path, text: str, simulated_by: str = "") -> Rehearsal
     return draft_rehearsal(load_config(folder / "cell.toml"), hooks)
 
 
+@pytest.mark.full
 def test_devices_of_another_plugin_have_the_shipped_simulated_devices(tmp_path: Path) -> None:
     """Each simulated device has the kind that its section takes, and the values of the cell."""
     text = CELL.replace('"robot_link"', '"other_robot_link"').replace('"watched_folder"', '"other_watched_folder"')
@@ -351,6 +363,7 @@ def test_devices_of_another_plugin_have_the_shipped_simulated_devices(tmp_path: 
     assert (sim.monitor.kind, sim.monitor.signals["flow"].value) == ("serial", 1.1)
 
 
+@pytest.mark.full
 def test_a_simulated_device_with_several_protocols_needs_its_kind(tmp_path: Path) -> None:
     text = CELL.replace('"voice_coil_modbus"', '"other_voice_coil_modbus"')
     with pytest.raises(ConfigError, match=r"cell\.toml:\d+: actuator\.type: .*several protocols.*modbus_rtu"):
@@ -480,7 +493,7 @@ def test_a_fanuc_controller_is_the_simulated_one_in_real_time(tmp_path: Path) ->
     assert config.robot.z_mm[1] >= 60.0
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(("maker", "profile"), [("yaskawa", "yaskawa-inform"), ("staubli", "staubli-val3")])
 def test_a_cell_with_programs_in_its_robots_language_is_rehearsed_in_it(
     tmp_path: Path, maker: str, profile: str
@@ -498,6 +511,7 @@ def test_a_cell_with_programs_in_its_robots_language_is_rehearsed_in_it(
     assert (config.robot.kind, config.robot.report_ms, config.plant.speed) == ("opcua", 50.0, 3.2)
 
 
+@pytest.mark.full
 def test_a_yaskawa_cell_over_hses_is_rehearsed_in_real_time_and_in_inform(tmp_path: Path) -> None:
     keys = 'type = "plc_robot"\nprofile = "yaskawa-hses"\naddress = "hses://10.0.0.2:10040"\ndelivery = "folder:nc"'
     draft = made(tmp_path, robot(keys).replace('"rs274"', '"inform"'))
@@ -508,6 +522,7 @@ def test_a_yaskawa_cell_over_hses_is_rehearsed_in_real_time_and_in_inform(tmp_pa
         made(tmp_path, robot(keys))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("maker", "profile"), [("yaskawa", "yaskawa-inform"), ("staubli", "staubli-val3")])
 def test_node_ids_of_ones_own_are_those_of_the_simulated_controller_in_a_rehearsal(
     tmp_path: Path, maker: str, profile: str

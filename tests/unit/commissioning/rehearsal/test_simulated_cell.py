@@ -157,6 +157,7 @@ def test_the_program_reads_back(program: Program, config: CellConfig) -> None:
     assert demo_program(config) == program.text, "the same every time"
 
 
+@pytest.mark.full
 def test_turns_and_landings_lie_off_the_part(program: Program, config: CellConfig) -> None:
     reach = config.outline().radius_mm
     move = program.end_mm - program.start_mm

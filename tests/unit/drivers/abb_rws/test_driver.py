@@ -72,6 +72,7 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.01)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("button", "why"), [("emergency stop", "emergency stop is pressed"), ("manual", "manual mode")]
 )
@@ -187,6 +188,7 @@ async def test_a_mechanical_unit_that_the_controller_does_not_have_is_named(tmp_
         await fake.close()
 
 
+@pytest.mark.full
 async def test_without_heartbeats_the_background_task_stops_the_motion(tmp_path: Path) -> None:
     times = replace(TIMES, silence_s=0.5, watchdog_s=1.0)
     async with robot_at(tmp_path, times) as (robot, fake):
@@ -221,6 +223,7 @@ async def test_a_background_task_that_does_not_take_the_limit_is_refused_before_
         assert fake.stands
 
 
+@pytest.mark.full
 async def test_a_limit_that_another_client_changes_ends_the_program_and_the_next_one_writes_it_again(
     tmp_path: Path,
 ) -> None:

@@ -73,6 +73,7 @@ async def until(condition: Any) -> None:
         await asyncio.sleep(0.005)
 
 
+@pytest.mark.full
 async def test_at_most_eight_instructions_are_outstanding_and_all_are_executed(
     fake: FakeFanuc, robot: FanucRmi
 ) -> None:
@@ -105,6 +106,7 @@ async def test_a_link_is_not_given_more_motion_than_the_watchdog_time(fake: Fake
     await device.close()
 
 
+@pytest.mark.full
 async def test_it_moves_as_the_program_says_and_stops_before_the_block(fake: FakeFanuc, robot: FanucRmi) -> None:
     plan = await loaded(robot, *(f"L P[{number}] 50mm/sec FINE ;" for number in (1, 2, 3)))
     stop = len(plan.segments) - next(
@@ -133,7 +135,7 @@ async def test_hold_pauses_within_a_wait_and_goes_on_with_its_rest(fake: FakeFan
     assert len(await executed(robot)) == len(plan.segments)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("button", "said"),
     [
@@ -291,6 +293,7 @@ async def test_a_second_client_is_busy(fake: FakeFanuc, robot: FanucRmi) -> None
         await FanucRmi(Tcp("127.0.0.1", fake.port), TIMES).open()
 
 
+@pytest.mark.full
 async def test_buffer_is_the_planned_time_of_what_the_controller_holds(fake: FakeFanuc, robot: FanucRmi) -> None:
     body = [line for number in range(12) for line in (f"L P[{1 + number % 2}] 50mm/sec FINE ;", "WAIT 0.30(sec) ;")]
     await loaded(robot, *body, timed_s=0.5)

@@ -56,6 +56,7 @@ def test_a_first_touch_is_timed_moves_that_keep_to_the_least_time_of_a_point(wit
     assert checked.exit_code == 0, checked.exception
 
 
+@pytest.mark.full
 def test_check_refuses_a_program_to_run_as_programmed_whose_points_are_too_short(cell: Path) -> None:
     text = cell.read_text().replace("[dwell]", '[dwell]\nobjective = "as_programmed"\ncross_check = ""')
     cell.write_text(text)

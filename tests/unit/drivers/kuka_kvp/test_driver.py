@@ -236,6 +236,7 @@ async def test_a_lost_link_stops_the_motion_by_the_controllers_watchdog(fake: Fa
     await robot.close()
 
 
+@pytest.mark.full
 async def test_it_goes_on_following_after_a_short_loss(fake: FakeKuka, robot: KukaRobot) -> None:
     await prepared(robot, SLOW)
     await robot.resume()
@@ -258,6 +259,7 @@ async def test_a_restarted_controller_has_lost_the_program(fake: FakeKuka, robot
         await executed(robot, len(SLOW))
 
 
+@pytest.mark.full
 async def test_the_watchdogs_timer_may_start_again_in_a_pass(fake: FakeKuka, robot: KukaRobot) -> None:
     fake.machine.write("$TIMER[16]", 1_000_000_000 - 1500)
     await prepared(robot, [line for at in range(10) for line in (krl(at), b"WAIT SEC 0.200")])
@@ -298,6 +300,7 @@ async def test_feed_timed_blocks_through_blends_last_as_long_as_programmed(fake:
     assert found == pytest.approx([0.1] * 8, abs=0.02)
 
 
+@pytest.mark.full
 async def test_a_snapshot_starts_nothing_while_resume_does(
     fake: FakeKuka, robot: KukaRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -127,6 +127,7 @@ def test_whole_numbers_are_seconds_too(make: Callable[..., WatchedFolder]) -> No
     assert make(timeout_s=60)
 
 
+@pytest.mark.full
 async def test_a_map_is_taken_once_and_kept_under_its_content(make: Callable[..., WatchedFolder], folder: Path) -> None:
     device = make()
     await device.open()
@@ -138,6 +139,7 @@ async def test_a_map_is_taken_once_and_kept_under_its_content(make: Callable[...
     assert found.part_id == PART
 
 
+@pytest.mark.full
 async def test_a_request_is_written_whole_and_withdrawn(make: Callable[..., WatchedFolder], folder: Path) -> None:
     device = make(request_file="measure.request")
     await device.open()
@@ -167,6 +169,7 @@ async def test_a_request_that_cannot_be_written(make: Callable[..., WatchedFolde
         await make(request_file="no/such/folder/x").next_map(None)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("preallocated", [False, True])
 async def test_a_slow_writer_is_waited_for(
     make: Callable[..., WatchedFolder], folder: Path, preallocated: bool
@@ -191,6 +194,7 @@ async def test_a_slow_writer_is_waited_for(
     assert not (folder / "quarantine").exists()
 
 
+@pytest.mark.full
 async def test_files_of_one_chunk_after_another_under_another_suffix(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
@@ -231,7 +235,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("case", REFUSED)
 async def test_what_is_refused_is_kept_with_its_reason(
     make: Callable[..., WatchedFolder], folder: Path, case: str
@@ -250,6 +254,7 @@ async def test_what_is_refused_is_kept_with_its_reason(
     assert f"bad.dat: {reason}" in (folder / "quarantine" / "bad.dat.reason.txt").read_text()
 
 
+@pytest.mark.full
 async def test_a_guessed_date_makes_no_map_new_and_none_out_of_order(
     make: Callable[..., WatchedFolder], folder: Path
 ) -> None:
@@ -284,6 +289,7 @@ async def test_a_guessed_date_makes_no_map_new_and_none_out_of_order(
     assert "later.dat" not in reasons(folder)
 
 
+@pytest.mark.full
 async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> None:
     device = make(timeout_s=0.8, stable_s=0.02)
     (folder / "a.dat").write_bytes(dat(1, part="OTHER"))
@@ -293,6 +299,7 @@ async def test_time_is_up(make: Callable[..., WatchedFolder], folder: Path) -> N
         assert expected in str(caught.value)
 
 
+@pytest.mark.full
 async def test_unnamed_maps_can_be_allowed(make: Callable[..., WatchedFolder], folder: Path) -> None:
     (folder / "a.dat").write_bytes(dat(1, part=""))
     assert (await make(accept_without_part_id=True).next_map(None)).part_id == ""
@@ -358,6 +365,7 @@ async def test_without_a_timestamp_the_files_time_counts(make: Callable[..., Wat
         await make(timeout_s=0.8).next_map("0" * 64)
 
 
+@pytest.mark.full
 async def test_the_oldest_of_several_maps_comes_first(make: Callable[..., WatchedFolder], folder: Path) -> None:
     for seed, age_s in ((1, 5.0), (2, 9.0), (3, 1.0)):
         path = folder / f"{seed}.dat"
@@ -369,6 +377,7 @@ async def test_the_oldest_of_several_maps_comes_first(make: Callable[..., Watche
     assert [one.path.read_bytes()[834:] for one in taken if one.path] == expected
 
 
+@pytest.mark.full
 async def test_a_folder_that_is_away_for_a_while(make: Callable[..., WatchedFolder], folder: Path) -> None:
     device = make()
     away = folder.with_name("away")
@@ -382,6 +391,7 @@ async def test_a_folder_that_is_away_for_a_while(make: Callable[..., WatchedFold
     assert (await while_waiting(device, act)).part_id == PART
 
 
+@pytest.mark.full
 async def test_a_map_that_cannot_be_claimed(make: Callable[..., WatchedFolder], folder: Path) -> None:
     (folder / "taken").write_text("a file where the folder should be")
     (folder / "a.dat").write_bytes(dat(1))
@@ -492,6 +502,7 @@ async def test_unnamed_maps_are_asked_to_be_new_once_one_was_taken(
         await of_part(make, "P-2", timeout_s=1.0).next_map(None)
 
 
+@pytest.mark.full
 async def test_an_unnamed_map_that_was_claimed_for_the_last_part_is_not_handed_on_for_this_one(
     make: Callable[..., WatchedFolder], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -80,6 +80,7 @@ def test_what_is_not_read_or_fits_several_is_said(head: bytes, name: str, said: 
         detect(head, name)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -108,6 +108,7 @@ def test_the_order_of_the_points_does_not_matter(seed: int, shuffle: int) -> Non
     assert newton_cg.solve(other, 10, 1e-12).time_s == pytest.approx(once[order], rel=1e-6, abs=1e-7)
 
 
+@pytest.mark.full
 def test_a_problem_of_the_demo_size_is_solved_with_bounds_that_bind() -> None:
     problem = dwell_problem(radius_mm=50)
     assert problem.effect.n > 7900

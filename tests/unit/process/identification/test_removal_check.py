@@ -66,6 +66,7 @@ def test_shifts_stop(angle_deg: float, distance_mm: float) -> None:
     assert np.nanstd(verdict.best_residual_nm) < 0.5 * np.nanstd(verdict.residual_nm)
 
 
+@pytest.mark.full
 def test_a_pass_that_is_made_to_find_a_shift_may_have_more_of_it() -> None:
     measured = moved(PREDICTED, 1.5, 0.0) + noise(2)
     assert check_removal(PREDICTED, measured, MASK, GRID.pitch_mm).stop
@@ -191,6 +192,7 @@ def test_symmetric_removal_shows_no_turn() -> None:
     assert "negated" in check_removal(bowl, -bowl + noise(7), MASK, GRID.pitch_mm).stop
 
 
+@pytest.mark.full
 def test_removal_that_is_even_along_a_line_shows_no_shift_there() -> None:
     ridge = 10 * np.cos(X / 9)
     verdict = check_removal(ridge, ridge + noise(8), MASK, GRID.pitch_mm)

@@ -38,6 +38,7 @@ def true_astigmatism_nm(found: AbsoluteSolution) -> float:
     return float(3.0 / np.sqrt(6) * (found.design.radius_mm / RADIUS_MM) ** 2)
 
 
+@pytest.mark.full
 def test_two_turns_find_the_astigmatism_of_an_instrument() -> None:
     poses = [PartPose(0), PartPose(90)]
     found = separate_instrument(maps(poses, NOISE_NM, instrument=astigmatism_nm), poses, PITCH_MM)
@@ -116,6 +117,7 @@ def test_half_turns_have_no_sense() -> None:
     assert not separate_instrument(maps(turns(2)), turns(2), PITCH_MM).sense
 
 
+@pytest.mark.full
 def test_poses_that_are_not_well_known_make_the_instrument_less_sure() -> None:
     """By far less than one map alone: an error of its pose shows in all of its terms, and is found there."""
     given = maps(turns(4), 0.05)
@@ -190,6 +192,7 @@ def test_turns_that_share_no_fold_leave_little() -> None:
     )
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("count", [4, pytest.param(2, marks=pytest.mark.full)])
 def test_what_is_left_of_prints_is_as_large_as_said(count: int) -> None:
     """Of eight waves each, of 31 radians a radius: one print can leave half or twice as much, twelve together not."""
@@ -209,6 +212,7 @@ def test_what_is_left_of_prints_is_as_large_as_said(count: int) -> None:
     assert np.hypot.reduce(said) == pytest.approx(np.hypot.reduce(off), rel=0.25)
 
 
+@pytest.mark.full
 def test_noise_is_no_print() -> None:
     poses = turns(4)
     found = separate_instrument(maps(poses, 0.3, instrument=lambda x, y: 3 * (x * x - y * y)), poses, PITCH_MM)

@@ -65,6 +65,7 @@ def test_a_rough_surface_splits_as_it_would_without_a_mask() -> None:
     assert np.abs(rest[disc].std() - (height - long)[disc].std()) < worst / 2
 
 
+@pytest.mark.full
 @settings(max_examples=60)
 @given(st.data())
 def test_the_squares_of_the_bands_add_up_whatever_the_mask(data: st.DataObject) -> None:

@@ -131,7 +131,7 @@ CASES = [
 ]
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("lines", CASES, ids=lambda one: f"{one.pitch_mm}-{one.angle_deg}-{one.azimuth_deg}")
 def test_the_lines_of_a_raster_are_those_of_a_direct_sum(lines: Lines) -> None:
     blocks, time_s = lines.blocks()
@@ -166,6 +166,7 @@ def test_lines_farther_apart_than_a_spot_is_wide_have_coarser_cells_and_the_same
     assert coarse.rms_high_nm == pytest.approx(fine.rms_high_nm, rel=0.01)
 
 
+@pytest.mark.full
 def test_points_at_rest_leave_a_pattern_along_the_lines_too() -> None:
     lines = Lines(1.0, rests=True)
     blocks, time_s = lines.blocks()
@@ -180,6 +181,7 @@ def test_a_moving_tool_leaves_no_pattern_along_its_lines() -> None:
     assert of(forecast(Lines(1.0)), "along") == []
 
 
+@pytest.mark.full
 def test_an_uncertain_radius_counts_the_more_the_nearer_the_distance_is_to_a_null_of_the_spot() -> None:
     null, beside = forecast(Lines(0.967)), forecast(Lines(1.2))
     assert null.rms_high_nm > 1.25 * null.rms_nm
@@ -245,6 +247,7 @@ def test_a_wider_spot_of_the_same_volume_is_the_spot_of_the_high_value() -> None
     assert forecast(lines).lines[0].rms_high_nm == pytest.approx(max(one.rms_nm for one in each), rel=1e-3)
 
 
+@pytest.mark.full
 def test_a_curved_contact_is_laid_down_as_it_is_widened() -> None:
     blocks, time_s = Lines(1.5).blocks()
     wide = replace(blocks, bent=np.tile([1.1, 1.1, 0.0], (blocks.n, 1)))
@@ -431,6 +434,7 @@ def test_the_high_value_of_lines_between_lines_contains_a_part_that_lies_elsewhe
     assert sum_ripples([first, off]).lines[0].rms_nm < total.rms_high_nm < 2 * one.rms_high_nm
 
 
+@pytest.mark.full
 def test_lines_of_one_path_made_twice_add_up() -> None:
     one = of_pass(Lines(1.5), 0.25)
     for single, total in zip(one.lines, sum_ripples([one, one]).lines, strict=True):
@@ -449,6 +453,7 @@ def test_lines_without_a_common_phase_add_up(other: Lines) -> None:
     assert sum_ripples([first, of_pass(Lines(1.5), 0.5).without_phase()]).lines[0].rms_nm > first.lines[0].rms_nm
 
 
+@pytest.mark.full
 def test_bent_lines_have_no_phase() -> None:
     blocks, time_s = Lines(1.5).blocks()
     start, end = (place + 0.2 * np.sin(place[:, ::-1] / 3) for place in (blocks.start_mm, blocks.end_mm))
@@ -554,6 +559,7 @@ def test_paths_of_many_lines_have_the_short_periods_of_a_direct_sum(family: str)
     assert 0.9 * max(exact.values()) < found.rms_high_nm
 
 
+@pytest.mark.full
 def test_crossed_lines_are_stated_by_direction_and_add_in_quadrature() -> None:
     lines = Lines(1.5, mean_nm=10.0)
     blocks, time_s = turned(lines, 0.0, 90.0)
@@ -566,6 +572,7 @@ def test_crossed_lines_are_stated_by_direction_and_add_in_quadrature() -> None:
     assert len(sum_ripples(apart).lines) == len(together.lines)
 
 
+@pytest.mark.full
 def test_lines_out_of_place_leave_less_where_as_many_cross() -> None:
     half = turned(Lines(1.5, mean_nm=10.0), 0.0, 90.0)
     errors = PathErrors(0.0, 0.06)

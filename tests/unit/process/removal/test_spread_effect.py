@@ -134,6 +134,7 @@ def test_a_spindle_that_leans_every_way() -> None:
     assert off(quick, exact) < 1.5e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("ratios", [(0.9, 0.9), pytest.param((0.95, 1.0), marks=pytest.mark.full), (0.5, 1.2)])
 def test_the_rank_follows_the_range_of_depths(ratios: tuple[float, float]) -> None:
     path = moves(800)
@@ -262,6 +263,7 @@ def test_the_adjoint_is_the_transpose() -> None:
     assert np.abs(quick.adjoint(GRID.radius_mm()) - want).max() < 2e-3 * want.max()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "made",
     [

@@ -91,7 +91,7 @@ def campaign(kind: str, ways: str, seed: int) -> tuple[HybridRobot | SerialRobot
     return truth, fit_stiffness(start, tests, hold_out=judge), unfitted
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize(("kind", "ways"), [("hybrid", "down"), ("hybrid", "all ways"), ("serial", "all ways")])
 @pytest.mark.parametrize("seed", range(4))
 def test_forty_tests_with_noise_do_better_than_the_papers_model(kind: str, ways: str, seed: int) -> None:
@@ -130,6 +130,7 @@ def test_cross_validation_sees_the_noise_where_the_fit_flatters(kind: str) -> No
     assert 1.8 < fitted < unseen < 3.2
 
 
+@pytest.mark.full
 def test_against_noisy_tests_the_largest_error_is_the_noises() -> None:
     rng = np.random.default_rng(11)
     truth = changed(HYBRID, rng)
@@ -140,6 +141,7 @@ def test_against_noisy_tests_the_largest_error_is_the_noises() -> None:
     assert PAPER_MAX < fit.held_out.max_percent < 12
 
 
+@pytest.mark.full
 def test_without_noise_what_is_determined_is_exact() -> None:
     rng = np.random.default_rng(5)
     truth = replace_elastic_numbers(UR5, np.array([5e7, 3e7, 2e7, 1.5e7, 0.8e7, 0.9e7]))
@@ -165,6 +167,7 @@ def test_a_stiffness_that_no_test_feels_is_kept_and_said_so() -> None:
     assert all(found.value == found.given for found in fit.stiffnesses if not found.determined)
 
 
+@pytest.mark.full
 def test_the_tests_along_other_ways_find_it() -> None:
     rng = np.random.default_rng(6)
     truth = dataclasses.replace(HYBRID, c_stiffness_n_mm_per_rad=1.5e7)
@@ -207,6 +210,7 @@ def test_a_start_that_is_off_by_far_gets_there() -> None:
     assert fit.held_out.mean_percent < 2.0
 
 
+@pytest.mark.full
 def test_limbs_with_ea_have_their_ea_fitted() -> None:
     rng = np.random.default_rng(9)
     start = dataclasses.replace(HYBRID, limb_ea_n=2.6e7)
@@ -232,6 +236,7 @@ def test_tests_that_measure_the_papers_projection(projection: Projection) -> Non
     assert fit_stiffness(HYBRID, tests).fitted.mean_percent > fit.fitted.mean_percent
 
 
+@pytest.mark.full
 def test_only_the_stiffnesses_change() -> None:
     start = dataclasses.replace(HYBRID, c_zero_deg=12.0)
     rng = np.random.default_rng(12)
@@ -291,6 +296,7 @@ def test_a_hold_out_is_looked_at_as_closely() -> None:
         fit_stiffness(HYBRID, GOOD, hold_out=broken(compliance_um_per_n=np.where(ROW, -1.0, 1.0)))
 
 
+@pytest.mark.full
 def test_tests_that_determine_nothing_are_refused() -> None:
     """Every value is off by some factor of ten: a wrong unit in half of the rows."""
     rng = np.random.default_rng(16)
@@ -300,6 +306,7 @@ def test_tests_that_determine_nothing_are_refused() -> None:
         fit_stiffness(UR5, wild)
 
 
+@pytest.mark.full
 def test_one_pose_determines_a_sum_and_no_more() -> None:
     """Ten tests at one pose: one number of them is known, and one stiffness takes it up."""
     tests = load(HYBRID, 1, np.random.default_rng(17))

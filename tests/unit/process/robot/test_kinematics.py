@@ -54,6 +54,7 @@ components = st.floats(-1, 1)
 outer_axes = st.tuples(components, components, components).filter(lambda e: np.hypot(e[0], e[1]) > 0.5)
 
 
+@pytest.mark.full
 @given(angles, angles, st.floats(1000, 1650), st.floats(-3.1, 3.1), st.floats(0.02, 0.8), st.floats(0, 90))
 def test_inverse_undoes_an_assembly_from_joint_values(
     alpha: float, beta: float, length: float, c: float, a: float, first: float

@@ -51,6 +51,7 @@ def test_a_block_is_reached_that_may_have_begun_within_the_time(after: int, with
     assert last_reachable_block(least_s, after, within_s) == end
 
 
+@pytest.mark.full
 @hypothesis.given(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=20), st.floats(0.01, 30.0), st.data())
 def test_no_block_is_left_out_however_much_longer_they_take(
     least_s: list[float], within_s: float, data: st.DataObject

@@ -72,7 +72,7 @@ def gammas(of: PlacementTask, found: PlacedPart) -> np.ndarray:
     return np.array(gamma)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("optic", [Optic(), Optic(radius_mm=800.0)], ids=["flat", "concave"])
 @pytest.mark.parametrize("options", [ComplianceOptions(), FIXED], ids=["inward", "fixed"])
 def test_a_place_has_the_gamma_that_plans_take(options: ComplianceOptions, optic: Optic) -> None:
@@ -84,6 +84,7 @@ def test_a_place_has_the_gamma_that_plans_take(options: ComplianceOptions, optic
         assert one.gamma_range == pytest.approx(np.ptp(gamma), rel=1e-6)
 
 
+@pytest.mark.full
 def test_no_place_that_was_tried_is_better_and_errors_grow_with_the_removal() -> None:
     found = search_placement(task(), 100.0)
     errors = [one.error_nm for one in found.reached]
@@ -108,6 +109,7 @@ def test_without_the_alignment_terms_less_is_left() -> None:
     assert tilt.error_nm >= power.error_nm
 
 
+@pytest.mark.full
 def test_the_parts_turn_counts_where_the_spindle_leans_in_a_direction_of_the_part() -> None:
     assert {one.turn_deg for one in search_placement(task(), 50.0).reached} == {0.0}
     assert len({one.turn_deg for one in search_placement(task(options=FIXED), 50.0).reached}) >= 5

@@ -152,6 +152,7 @@ def test_round_trip_over_random_poses() -> None:
     assert np.abs(got_axis - axis).max() < 1e-12
 
 
+@pytest.mark.full
 def test_the_flange_x_is_as_near_as_it_goes() -> None:
     tip, axis = tilted(30)
     robot = dataclasses.replace(UR5, flange_x=(0.6, -0.8, 0.0))
@@ -215,6 +216,7 @@ def test_a_turn_that_the_limits_ask_for_is_taken() -> None:
     assert serial_inverse_kinematics(other, tip, axis)[0, 0] == pytest.approx(near_home - 2 * np.pi, abs=1e-9)
 
 
+@pytest.mark.full
 def test_homes_branch_is_followed_far() -> None:
     """The flange turned by 120 degrees from home, over a field that goes to the wrist's singular poses."""
     robot = dataclasses.replace(PUMA, flange_x=(-0.5, np.sqrt(0.75), 0.0))

@@ -40,6 +40,7 @@ def test_areas(width: float, height: float) -> None:
     assert area(rectangle(width, height).outline_mm()) == pytest.approx(width * height, rel=1e-9)
 
 
+@pytest.mark.full
 @given(st.floats(10.0, 100.0), st.floats(0.2, 1.0), st.floats(0.0, 5.0))
 def test_a_larger_one_is_larger_by_as_much_everywhere(width: float, share: float, by: float) -> None:
     """Steiner's formula: area, perimeter and the rounded corners."""

@@ -83,6 +83,7 @@ def test_a_random_raster_covers_any_aperture_without_crossing(name: str, optic: 
     assert bend[on_part].max() > 0.2 / 2.5, "it uses what it may"
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("direction", [0.0, 37.0])
 def test_the_path_is_as_long_as_that_of_a_raster(direction: float) -> None:
     straight = lengths(raster(circle(60), 0.8, 1.0, direction_deg=direction)).sum()
@@ -90,6 +91,7 @@ def test_the_path_is_as_long_as_that_of_a_raster(direction: float) -> None:
     assert wandering == pytest.approx(straight, rel=0.05)
 
 
+@pytest.mark.full
 def test_the_seed_makes_the_path() -> None:
     one, again, other = (random_raster(circle(40), 1.0, 1.0, seed=seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(one, again)
@@ -103,6 +105,7 @@ def test_any_seed_gives_a_path() -> None:
         assert crossings(points) == 0, seed
 
 
+@pytest.mark.full
 def test_no_direction_has_most_of_the_lines() -> None:
     """The pattern has its power at (direction, distance) of its lines: of both the spread is what the design says."""
     points = random_raster(circle(100), 0.8, 1.0, seed=2)
@@ -137,6 +140,7 @@ def test_an_adaptive_raster_covers_any_aperture_without_crossing(name: str) -> N
         assert (outside(APERTURES[name], points[[0, -1]]) > 6.0 - 1e-3).all()
 
 
+@pytest.mark.full
 def test_random_lines_follow_a_density_too() -> None:
     def right_over_left(density: LineDensity | None) -> float:
         points = random_raster(circle(60), 1.0, 1.0, density=density, direction_deg=90.0)

@@ -47,6 +47,7 @@ def torn_content(torn_files: DemoFiles) -> Content:
     return drawn(torn_files.run_dir).content
 
 
+@pytest.mark.full
 def test_a_whole_run_in_tolerance(whole_content: Content) -> None:
     verdict = whole_content.verdict
     assert (verdict.state, verdict.final, verdict.outcome) == ("in tolerance", True, "In tolerance")
@@ -89,6 +90,7 @@ def test_what_no_dwell_could_remove_is_of_the_same_surface(whole_drawn: Certific
     assert math.hypot(above[found.clear].std(), reach.after_nm) == pytest.approx(rms, rel=0.05)
 
 
+@pytest.mark.full
 def test_an_interrupted_pass_is_no_pass(torn_content: Content) -> None:
     torn, whole = torn_content.passes
     assert (torn.number, torn.did.how, torn.did.uncertain_blocks) == (None, "interrupted", [(13, 15)])
@@ -323,6 +325,7 @@ def test_no_folder_of_the_shop_is_reported(whole_content: Content, whole_files: 
     assert whole_content.journal.events[0].data["run_dir"] == "run"
 
 
+@pytest.mark.full
 def test_a_limit_within_the_uncertainty_is_in_the_verdict(tmp_path: Path) -> None:
     made = begin(tmp_path / "cell", repeatability_nm=50.0)
     with closing(made.journal):
@@ -345,6 +348,7 @@ def test_a_cycle_whose_folder_is_gone_shifts_no_other(whole: Path, whole_content
     assert content.passes[0].planned == whole_content.passes[0].planned
 
 
+@pytest.mark.full
 def test_the_ripple_that_the_last_map_does_not_show_is_in_its_bands_and_in_the_verdict(tmp_path: Path) -> None:
     made = begin(tmp_path)
     made.ripple = [

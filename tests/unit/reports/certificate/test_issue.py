@@ -97,6 +97,7 @@ def test_the_pages_say_what_the_twin_says(certified: Made) -> None:
     assert twin["seal"]["signature"]["key_id"] in text
 
 
+@pytest.mark.full
 def test_the_first_two_pages_are_for_the_customer(certified: Made) -> None:
     twin = json.loads(certified.twin.read_text())
     first, second, *others = map(squeezed, text_of(certified.pdf).rstrip("\f\n").split("\f"))

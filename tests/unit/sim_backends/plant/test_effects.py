@@ -72,6 +72,7 @@ def test_off_is_nothing_to_the_last_bit() -> None:
     assert not drawn.lean.at(place).any()
 
 
+@pytest.mark.full
 def test_constant_depth_removes_as_a_robot_that_does_not_give() -> None:
     stiff, soft = spot(plant(eq_44=[0, 0])), spot(plant())
     volume = 9.72e-3 * 1e6 / plant().world.part.grid.pitch_mm ** 2
@@ -105,6 +106,7 @@ def test_rate_field_is_what_was_drawn() -> None:
     assert ratio == pytest.approx((quarter + half) / (quarter - half), rel=2e-3)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("frame", ["tool", "part"])
 def test_spot_shift_has_its_length(frame: str) -> None:
     made, right = plant(spot_shift_mm=1.5, spot_frame=frame), plant()
@@ -137,6 +139,7 @@ def test_a_turned_spot_is_the_same_spot_turned() -> None:
     assert second(made, turned) == pytest.approx(turn @ second(right, straight) @ turn.T, abs=2e-3)
 
 
+@pytest.mark.full
 def test_a_skewed_spot_removes_more_where_the_bonnet_slides_to() -> None:
     made, right = plant(spot_skew=0.3, eq_44=[0, 0]), plant(eq_44=[0, 0])
     skewed, straight = spot(made), spot(right)
@@ -186,6 +189,7 @@ def test_a_spindle_that_leans_more_slides_faster() -> None:
     assert spot(made).sum() / spot(right).sum() == pytest.approx(lean / np.sin(np.radians(15.0)), rel=0.02)
 
 
+@pytest.mark.full
 def test_a_tool_that_vibrates_smears_its_track() -> None:
     def track(made: BatchPlant) -> FloatArray:
         x = np.linspace(-10.0, 10.0, 201)
@@ -208,6 +212,7 @@ def test_force_that_acts_decides() -> None:
     assert spot(made).sum() / spot(right).sum() == pytest.approx(1.0 + 0.2 * np.sin(np.pi / 4.0), rel=5e-3)
 
 
+@pytest.mark.full
 def test_a_new_effect_changes_no_other_one_s_draw() -> None:
     alone, beside = plant(seat_shift_mm=2.0), plant(seat_shift_mm=2.0, spot_turn_deg=10.0, robot_error_mm=0.3)
     assert alone.world.effects.seat_mm == beside.world.effects.seat_mm
@@ -235,6 +240,7 @@ def test_a_turned_map_is_the_turned_truth() -> None:
         made.measure(0.0, 45.0, (0, 0))
 
 
+@pytest.mark.full
 def test_friction_pulls_the_spot_by_what_the_robot_gives_sideways() -> None:
     made, right = plant(friction=[0.5, 0.5]), plant()
     frames = made.world._frames

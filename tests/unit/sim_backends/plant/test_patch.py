@@ -91,7 +91,7 @@ def amplitudes(patch_nm: FloatArray, sample_mm: float, period_mm: float) -> Floa
     return np.asarray(own, dtype=np.float64)
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("pitch_mm", [1.5, 1.2, 2.0])
 def test_the_plants_lines_are_those_of_the_forecast(tmp_path: Path, pitch_mm: float) -> None:
     made = bench(tmp_path, pitch_mm)

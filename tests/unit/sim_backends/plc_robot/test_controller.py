@@ -202,6 +202,7 @@ def test_modbus_answers(bench: Bench, pdu: bytes, answer: bytes) -> None:
 LONG = b"G1 X1 F60\n" + b"G1 X2\nG1 X1\n" * (15 * LINES_A_CYCLE)
 
 
+@pytest.mark.full
 def test_a_long_program_is_loaded_while_the_controller_goes_on(bench: Bench) -> None:
     bench.load()
     (bench.folder / "a.nc").write_bytes(LONG)

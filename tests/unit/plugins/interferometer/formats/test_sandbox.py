@@ -60,6 +60,7 @@ def test_all_that_a_map_says_of_itself_arrives(tmp_path: Path) -> None:
     assert read(tmp_path, "half").part_id == "a\\udcffb"
 
 
+@pytest.mark.full
 def test_the_head_of_a_map_has_every_field_but_the_heights_and_the_path() -> None:
     of_map = {one.name for one in fields(SurfaceMap)} - {"height_nm", "path"}
     assert {one.name for one in fields(sandbox.MapHead)} == of_map | {"has_path"}
@@ -87,6 +88,7 @@ def test_an_answer_that_is_no_map_is_refused(tmp_path: Path, what: str) -> None:
     assert read(tmp_path, "map").pitch_mm == 0.5
 
 
+@pytest.mark.full
 def test_a_worker_inherits_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("SHOP_TOKEN", "MAIL_PASSWORD", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.setenv(name, "s3cret")
@@ -209,6 +211,7 @@ def test_a_worker_that_cannot_start_says_nothing_about_the_file(
         read_map(path, [reader])
 
 
+@pytest.mark.full
 def test_a_path_is_of_the_folder_where_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read(tmp_path, "map")
     monkeypatch.chdir(tmp_path)

@@ -82,7 +82,7 @@ def test_each_dwell_and_their_sum_are_within_one_quantum_and_nothing_else_change
     assert (again.end_mm == program.end_mm).all()
 
 
-@pytest.mark.one_of_each
+@pytest.mark.full
 @pytest.mark.parametrize("name", LANGUAGES)
 def test_the_residue_is_carried_over_thousands_of_dwells(name: str) -> None:
     language = profile(name)
